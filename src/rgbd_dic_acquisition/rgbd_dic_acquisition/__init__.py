@@ -1,0 +1,1 @@
+"""Sensors, recordings and the flight simulator. Nothing outside `nodes/` imports ROS."""

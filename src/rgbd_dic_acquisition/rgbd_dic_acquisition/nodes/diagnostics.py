@@ -1,0 +1,132 @@
+"""What a node says about itself on /diagnostics, once a second."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+
+MATCHED = "matched subscriptions"
+PERIOD_S = 1.0
+REPEAT_WARNING_S = 5.0
+
+
+class WatchedPublisher:
+    """A publisher that knows how much it has published."""
+
+    def __init__(self, publisher: Any) -> None:
+        self._publisher = publisher
+        self.sent = 0
+        self._last_sent = float("nan")
+        self._reported = (time.monotonic(), 0)
+
+    def publish(self, message: Any) -> None:
+        """Publish a message, or its serialised bytes."""
+        self._publisher.publish(message)
+        self.sent += 1
+        self._last_sent = time.monotonic()
+
+    @property
+    def topic(self) -> str:
+        return self._publisher.topic_name
+
+    @property
+    def matched(self) -> int:
+        """How many subscriptions the publisher is connected to."""
+        return self._publisher.get_subscription_count()
+
+    def report(self) -> list[KeyValue]:
+        now = time.monotonic()
+        since, sent_before = self._reported
+        self._reported = (now, self.sent)
+        rate = (self.sent - sent_before) / max(now - since, 1e-6)
+        return [
+            _pair("messages sent", self.sent),
+            _pair("rate [1/s]", f"{rate:.2f}"),
+            _pair("age of the last [s]", f"{now - self._last_sent:.3f}"),
+            _pair(MATCHED, self.matched),
+        ]
+
+
+class Diagnostics:
+    """One status for the node (its counters, its level and message) and one for each watched publisher.
+
+    Status names are `/node` and `/node: /topic`. The level is OK until `warn`, then WARN until `ok`. It runs
+    by the steady clock, so that a node that waits for /clock is heard too.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._name = node.get_fully_qualified_name()
+        self._counters: Counter[str] = Counter()
+        self._publishers: list[WatchedPublisher] = []
+        self._warning = ""
+        self._warned_at = float("-inf")
+        self._output = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._timer = node.create_timer(
+            PERIOD_S, self._publish, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
+
+    def watch(self, publisher: Any) -> WatchedPublisher:
+        """Report on a publisher from now on; publish through what this returns."""
+        watched = WatchedPublisher(publisher)
+        self._publishers.append(watched)
+        return watched
+
+    def count(self, name: str, n: int = 1) -> None:
+        """Add to a counter, such as "received", "dropped" or "invalid"."""
+        self._counters[name] += n
+
+    def warn(self, text: str) -> None:
+        """Set the level to WARN, and log the text (at most every few seconds while it stays the same)."""
+        now = time.monotonic()
+        if text != self._warning or now - self._warned_at > REPEAT_WARNING_S:
+            self._node.get_logger().warning(text)
+            self._warned_at = now
+        self._warning = text
+
+    def ok(self) -> None:
+        """Set the level back to OK."""
+        self._warning = ""
+
+    def _publish(self) -> None:
+        level = DiagnosticStatus.WARN if self._warning else DiagnosticStatus.OK
+        message = DiagnosticArray()
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        message.status = [
+            DiagnosticStatus(
+                level=level,
+                name=self._name,
+                message=self._warning or "OK",
+                values=[_pair(name, count) for name, count in sorted(self._counters.items())],
+            )
+        ]
+        message.status += [
+            DiagnosticStatus(
+                level=DiagnosticStatus.OK,
+                name=f"{self._name}: {watched.topic}",
+                message="OK" if watched.sent else "nothing sent yet",
+                values=watched.report(),
+            )
+            for watched in self._publishers
+        ]
+        self._output.publish(message)
+
+
+def matched_subscriptions(message: DiagnosticArray) -> dict[tuple[str, str], int]:
+    """From what a node reports: (node, topic) -> how many subscriptions its publisher is connected to."""
+    matched = {}
+    for status in message.status:
+        node, separator, topic = status.name.partition(": ")
+        for pair in status.values:
+            if separator and pair.key == MATCHED:
+                matched[node, topic] = int(pair.value)
+    return matched
+
+
+def _pair(key: str, value: object) -> KeyValue:
+    return KeyValue(key=key, value=str(value))

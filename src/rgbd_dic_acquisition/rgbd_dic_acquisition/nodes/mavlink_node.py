@@ -1,0 +1,96 @@
+"""The autopilot: attitude of the vehicle and the time it believes in."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from rclpy.node import Node
+from sensor_msgs.msg import Imu, TimeReference
+
+from ..drivers.mavlink import Attitude, Autopilot, MavlinkSettings, SystemTime
+from ..messages import header_message, imu_message, stamp_message
+from ..settings import setting
+from .diagnostics import Diagnostics
+from .parameters import declare
+from .ros_messages import QosSettings, image_qos, make
+from .spinning import run
+
+POLL_S = 0.005
+
+
+@dataclass(frozen=True)
+class MavlinkNodeSettings(QosSettings):
+    """How the attitude is sent."""
+
+    frame_id: str = setting("base_link", doc="frame of the vehicle: x forward, y left, z up")
+    orientation_std_rad: float = setting(
+        0.02, doc="standard deviation of the attitude about each axis", unit="rad", low=0.0, high=3.2
+    )
+
+
+class MavlinkNode(Node):
+    """Publishes `imu/data` (east-north-up, forward-left-up) and `autopilot/time_reference`."""
+
+    def __init__(self) -> None:
+        super().__init__("mavlink_node")
+        self._settings = declare(self, MavlinkNodeSettings)
+        self._covariance = np.eye(3) * self._settings.orientation_std_rad**2
+        self._autopilot = Autopilot(declare(self, MavlinkSettings, "link"))
+        self._diagnostics = Diagnostics(self)
+        self._counted: Counter[str] = Counter()
+        qos = image_qos(self._settings)
+        self._imu = self._diagnostics.watch(self.create_publisher(Imu, "imu/data", qos))
+        self._time = self._diagnostics.watch(
+            self.create_publisher(TimeReference, "autopilot/time_reference", qos)
+        )
+
+    def work(self) -> Iterator[float]:
+        """Poll the link and publish what has come."""
+        while True:
+            for reading in self._autopilot.read():
+                self._publish(reading)
+            self._report()
+            yield POLL_S
+
+    def close(self) -> None:
+        self._autopilot.close()
+
+    def _publish(self, reading: Attitude | SystemTime) -> None:
+        if isinstance(reading, Attitude):
+            message = imu_message(
+                make,
+                reading.stamp_ns,
+                self._settings.frame_id,
+                reading.orientation_xyzw,
+                self._covariance,
+                reading.angular_velocity,
+            )
+            self._imu.publish(message)
+            return
+        message = make(
+            "sensor_msgs/msg/TimeReference",
+            header=header_message(make, reading.stamp_ns, ""),
+            time_ref=stamp_message(make, reading.unix_ns),
+            source="autopilot",
+        )
+        self._time.publish(message)
+
+    def _report(self) -> None:
+        for name, count in (self._autopilot.counts - self._counted).items():
+            self._diagnostics.count(name, count)
+        self._counted = Counter(self._autopilot.counts)
+        if self._autopilot.problem:
+            self._diagnostics.warn(self._autopilot.problem)
+        else:
+            self._diagnostics.ok()
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    return run(MavlinkNode, args)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

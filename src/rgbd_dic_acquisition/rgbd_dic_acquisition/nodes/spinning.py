@@ -1,0 +1,103 @@
+"""How every node of rgbd_dic is started, spun and ended."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
+from rclpy.exceptions import InvalidHandle
+from rclpy.executors import ExternalShutdownException
+from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+
+from ..errors import RgbdDicError
+
+# The longest wait of one turn [s]: how late SIGINT and SIGTERM may be noticed.
+TURN_S = 0.2
+
+
+def run(node_factory: Callable[[], Node], args: Sequence[str] | None = None) -> int:
+    """Make a node, spin it until SIGINT, SIGTERM or the end of its own work, close it; return the exit code.
+
+    A node may have two methods beside its callbacks:
+
+    - `work()`: an iterator that does a part of the node's own work each time it is advanced and yields how
+      long it is then content to wait for callbacks [s]. When it ends, the node ends, with exit code 0.
+    - `close()`: called at the end, whatever ended it, while publishers and subscriptions still work.
+
+    An RgbdDicError from any of these becomes one line on stderr and exit code 1; anything else is a bug and
+    keeps its traceback.
+    """
+    _prepare_process()
+    program = Path(sys.argv[0]).stem
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    try:
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    except Exception as error:  # the errors of malformed arguments and parameter files have no common base
+        print(f"{program}: {error}", file=sys.stderr)
+        return 1
+    try:
+        node = node_factory()
+        executor = EventsExecutor()
+        executor.add_node(node)
+        try:
+            _spin(node, executor, stop)
+        finally:
+            _close(node, executor)
+    except RgbdDicError as error:
+        print(f"{program}: {error}", file=sys.stderr)
+        return 1
+    finally:
+        rclpy.try_shutdown()
+    return 0
+
+
+def _spin(node: Node, executor: Any, stop: threading.Event) -> None:
+    # EventsExecutor.spin() without a timeout would never notice the signals.
+    work: Iterator[float] = node.work() if hasattr(node, "work") else iter(lambda: TURN_S, None)
+    try:
+        for wait_s in work:
+            if stop.is_set() or not rclpy.ok():
+                return
+            executor.spin_once(timeout_sec=min(max(wait_s, 0.0), TURN_S))
+    except (ExternalShutdownException, InvalidHandle):
+        if rclpy.ok():
+            raise
+
+
+def _close(node: Node, executor: Any) -> None:
+    try:
+        if hasattr(node, "close"):
+            node.close()
+    finally:
+        executor.remove_node(node)
+        executor.shutdown()
+        node.destroy_node()
+
+
+def _prepare_process() -> None:
+    """Defaults that the user's environment overrides, and an allocator that keeps the memory of images."""
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    try:
+        profile = Path(get_package_share_directory("rgbd_dic_acquisition"), "config", "fastdds.xml")
+    except (PackageNotFoundError, LookupError):
+        profile = None
+    if profile is not None and profile.is_file():
+        os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(profile))
+    # Otherwise glibc returns the memory of each image to the kernel and spends most of the time on that.
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
+    if mallopt is not None:
+        mmap_threshold, trim_threshold = -3, -1
+        mallopt(mmap_threshold, 16 << 20)
+        mallopt(trim_threshold, 256 << 20)

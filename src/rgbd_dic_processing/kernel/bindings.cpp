@@ -1,0 +1,174 @@
+// Python module _kernel: checks what comes in, releases the interpreter lock, calls the kernel.
+#include <pybind11/numpy.h>
+#include <pybind11/pybind11.h>
+#include <pybind11/stl.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <limits>
+#include <memory>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "icgn.hpp"
+#include "reference.hpp"
+#include "spline_image.hpp"
+
+namespace py = pybind11;
+
+namespace rgbd_dic {
+namespace {
+
+std::string describe(const py::array& array) {
+  return py::str(array.dtype()).cast<std::string>() + " of shape " +
+         py::str(array.attr("shape")).cast<std::string>();
+}
+
+// Checks dtype, contiguity and shape; -1 in `shape` stands for any length. Nothing is ever converted.
+template <class Value>
+const Value* checked(const py::array& array, const char* name, const std::vector<py::ssize_t>& shape,
+                     const char* expected) {
+  bool fits = array.ndim() == static_cast<py::ssize_t>(shape.size());
+  for (std::size_t k = 0; fits && k < shape.size(); ++k)
+    fits = shape[k] < 0 || array.shape(static_cast<py::ssize_t>(k)) == shape[k];
+  if (!py::isinstance<py::array_t<Value>>(array))
+    throw py::type_error(std::string(name) + ": expected " + expected + ", got " + describe(array));
+  if (!fits) throw py::value_error(std::string(name) + ": expected " + expected + ", got " + describe(array));
+  if (!(array.flags() & py::array::c_style))
+    throw py::value_error(std::string(name) + ": must be C-contiguous; pass numpy.ascontiguousarray(" + name +
+                          ")");
+  return static_cast<const Value*>(array.data());
+}
+
+PaddedImage to_image(const py::array& image) {
+  constexpr const char* kExpected = "uint8 or float32 of shape (rows, cols)";
+  if (py::isinstance<py::array_t<std::uint8_t>>(image)) {
+    const auto* pixels = checked<std::uint8_t>(image, "image", {-1, -1}, kExpected);
+    return PaddedImage(pixels, image.shape(0), image.shape(1));
+  }
+  const auto* pixels = checked<float>(image, "image", {-1, -1}, kExpected);
+  const py::ssize_t cols = image.shape(1);
+  for (py::ssize_t i = 0; i < image.size(); ++i)
+    if (!std::isfinite(pixels[i]))
+      throw py::value_error("image: pixel (" + std::to_string(i % cols) + ", " + std::to_string(i / cols) +
+                            ") is not a finite number");
+  return PaddedImage(pixels, image.shape(0), cols);
+}
+
+std::unique_ptr<Reference> make_reference(const py::array& image, const py::array& centres, int subset_size,
+                                          int degree, int threads) {
+  PaddedImage pixels = to_image(image);
+  const auto* xy = checked<std::int32_t>(centres, "centres", {-1, 2}, "int32 of shape (N, 2)");
+  const py::ssize_t count = centres.shape(0);
+  const py::gil_scoped_release unlocked;
+  return std::make_unique<Reference>(std::move(pixels), xy, count, subset_size, degree,
+                                     resolve_threads(threads));
+}
+
+std::unique_ptr<SplineImage> make_target(const py::array& image, int degree, int threads) {
+  PaddedImage pixels = to_image(image);
+  const py::gil_scoped_release unlocked;
+  return std::make_unique<SplineImage>(std::move(pixels), degree, resolve_threads(threads));
+}
+
+py::array_t<double> sample(const SplineImage& target, const py::array& points) {
+  const auto* xy = checked<double>(points, "points", {-1, 2}, "float64 of shape (M, 2)");
+  const double right = static_cast<double>(target.cols() - 1),
+               bottom = static_cast<double>(target.rows() - 1);
+  py::array_t<double> values(points.shape(0));
+  double* out = values.mutable_data();
+  for (py::ssize_t i = 0; i < points.shape(0); ++i) {
+    const double x = xy[2 * i], y = xy[2 * i + 1], x0 = std::floor(x), y0 = std::floor(y);
+    out[i] = std::numeric_limits<double>::quiet_NaN();
+    if (!(x >= 0.0 && x <= right && y >= 0.0 && y <= bottom)) continue;
+    const float dx = static_cast<float>(x - x0), dy = static_cast<float>(y - y0);
+    float value = 0.0f;
+    target.sample(static_cast<std::ptrdiff_t>(x0), static_cast<std::ptrdiff_t>(y0), &dx, &dy, 1, &value);
+    out[i] = value;
+  }
+  return values;
+}
+
+const std::int32_t* checked_indices(const std::optional<py::array>& indices, py::ssize_t subsets) {
+  if (!indices) return nullptr;
+  const auto* values = checked<std::int32_t>(*indices, "indices", {-1}, "int32 of shape (M,)");
+  for (py::ssize_t i = 0; i < indices->size(); ++i)
+    if (values[i] < 0 || values[i] >= subsets)
+      throw py::index_error("indices[" + std::to_string(i) + "] = " + std::to_string(values[i]) +
+                            ": there are " + std::to_string(subsets) + " subsets");
+  return values;
+}
+
+py::tuple correlate(const Reference& reference, const SplineImage& target, const py::array& seeds,
+                    const std::optional<py::array>& indices, int max_iterations, double tolerance_px,
+                    double min_zncc, double min_contrast, double max_shift_px, int threads) {
+  if (reference.degree() != target.degree())
+    throw py::value_error("the reference was made with B-spline degree " +
+                          std::to_string(reference.degree()) + ", the target with " +
+                          std::to_string(target.degree()));
+  if (max_iterations < 1 || max_iterations > 255)
+    throw py::value_error("max_iterations = " + std::to_string(max_iterations) + ": must be 1 to 255");
+  const std::int32_t* selected = checked_indices(indices, reference.size());
+  const py::ssize_t count = indices ? indices->size() : reference.size();
+  const std::string expected =
+      "float64 of shape (" + std::to_string(reference.size()) + ", 2, 6), one seed a subset";
+  static_assert(sizeof(Quadratic) == 12 * sizeof(double), "a seed is twelve numbers in a row");
+  const auto* maps = reinterpret_cast<const Quadratic*>(
+      checked<double>(seeds, "seeds", {reference.size(), 2, 6}, expected.c_str()));
+
+  py::array_t<double> x(count), y(count);
+  py::array_t<float> sigma_x(count), sigma_y(count), zncc(count);
+  py::array_t<std::uint8_t> iterations(count), status(count);
+  const auto store = [x = x.mutable_data(), y = y.mutable_data(), sigma_x = sigma_x.mutable_data(),
+                      sigma_y = sigma_y.mutable_data(), zncc = zncc.mutable_data(),
+                      iterations = iterations.mutable_data(),
+                      status = status.mutable_data()](std::ptrdiff_t i, const SubsetResult& result) {
+    x[i] = result.x;
+    y[i] = result.y;
+    sigma_x[i] = static_cast<float>(result.sigma_x);
+    sigma_y[i] = static_cast<float>(result.sigma_y);
+    zncc[i] = static_cast<float>(result.zncc);
+    iterations[i] = static_cast<std::uint8_t>(result.iterations);
+    status[i] = static_cast<std::uint8_t>(result.status);
+  };
+  {
+    const py::gil_scoped_release unlocked;
+    const Limits limits{max_iterations, tolerance_px, min_zncc, min_contrast, max_shift_px};
+    correlate_subsets(reference, target, selected, maps, count, limits, resolve_threads(threads), store);
+  }
+  return py::make_tuple(x, y, sigma_x, sigma_y, zncc, iterations, status);
+}
+
+}  // namespace
+}  // namespace rgbd_dic
+
+PYBIND11_MODULE(_kernel, module) {
+  using namespace rgbd_dic;
+  using py::arg;
+  module.doc() =
+      "Subset-based digital image correlation by IC-GN; rgbd_dic_processing.core.correlation is its face.";
+
+  py::class_<Reference>(module, "Reference", "Subsets of a reference image, prepared once.")
+      .def(py::init(&make_reference), arg("image"), arg("centres"), arg("subset_size"), arg("degree"),
+           arg("threads") = 1,
+           "image: uint8 or float32 (rows, cols); centres: int32 (N, 2), x y of the centre pixels; "
+           "subset_size: odd, px; degree of the B-spline: 3 or 5; threads: 0 for all cores.")
+      .def("__len__", &Reference::size);
+
+  py::class_<SplineImage>(module, "Target", "B-spline coefficients of an image that is searched.")
+      .def(py::init(&make_target), arg("image"), arg("degree"), arg("threads") = 1,
+           "image: uint8 or float32 (rows, cols); degree of the B-spline: 3 or 5; threads: 0 for all cores.")
+      .def("sample", &sample, arg("points"),
+           "Grey values, float64 (M,), at points, float64 (M, 2) x y in px; NaN outside the image.");
+
+  module.def("correlate", &correlate, arg("reference"), arg("target"), arg("seeds"),
+             arg("indices") = py::none(), arg("max_iterations") = 20, arg("tolerance_px") = 1e-4,
+             arg("min_zncc") = 0.8, arg("min_contrast") = 2.0, arg("max_shift_px") = 10.0, arg("threads") = 0,
+             "Correlates all subsets (M = N), or those of indices, int32 (M,), from seeds, float64 (N, 2, "
+             "6). Returns x, "
+             "y (float64, px), sigma_x, sigma_y (float32, px), zncc (float32), iterations, status (uint8), "
+             "each (M,).");
+}

@@ -1,0 +1,117 @@
+"""h_pose: the plane-induced homography of the pose that minimises the reprojection error of the fixed region.
+
+Six parameters with the plane (n, d) of the reference, averaged over many ToF frames: it cannot absorb deformation the
+way a free projective fit can, and does not see the ToF noise of single frames.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from rgbd_dic_acquisition.calibration import Camera
+from rgbd_dic_acquisition.errors import MeasurementError
+from scipy.spatial.transform import Rotation
+
+from ..geometry import Plane, plane_homography, pose_from_homography, skew
+from ..settings import CompensationSettings
+from ..uncertainty import independent_modes, linear_covariance
+from .motion import Compensation, FrameView, HomographyMotion, reprojection_rms
+
+Array = NDArray[np.float64]
+Pose = tuple[Array, Array]
+
+MAX_ITERATIONS = 30
+CONVERGED_PX = 1e-7  # RMS change of the reprojection at which the iteration ends
+
+
+def compensate(view: FrameView, settings: CompensationSettings) -> Compensation:
+    """Robust (Huber) Gauss-Newton on the pose; residuals are weighted by the DIC's own uncertainty.
+
+    Raises:
+        MeasurementError: if the iteration does not converge or the fixed region does not move like a plane.
+    """
+    fixed = view.fixed
+    data = (view.camera, view.reference_px[fixed], view.moved_px[fixed], view.sigma_px[fixed])
+    start = pose_from_homography(view.camera, view.seed, view.reference_plane)
+    pose, jacobian, weights, misfit = fit_pose(*data, view.reference_plane, start, settings.robust_sigmas)
+    motion = HomographyMotion(plane_homography(view.camera, *pose, view.reference_plane))
+    residual_px = reprojection_rms(motion, view, fixed)
+    if residual_px > settings.inlier_px:
+        raise MeasurementError(
+            f"h_pose: the fixed region moves unlike a rigid plane (residual {residual_px:.2f} px RMS, "
+            f"at most {settings.inlier_px:g} px): it may hold the crack, or the reference plane is wrong"
+        )
+    weighted = jacobian * weights
+    normal_matrix = np.einsum("pma,qma->pq", weighted, jacobian)
+    sensitivity = np.einsum("pq,qma->pma", np.linalg.inv(normal_matrix), weighted)
+    covariance = linear_covariance(sensitivity, misfit * view.sigma_px[fixed], view.correlation, fixed)
+    poses = [(_displaced(pose, mode), view.reference_plane) for mode in independent_modes(covariance)]
+    for mode in independent_modes(view.reference_plane.inverse_depth_covariance()):
+        plane = Plane.from_inverse_depth(view.reference_plane.inverse_depth + mode)
+        poses.append((fit_pose(*data, plane, pose, settings.robust_sigmas)[0], plane))
+    modes = tuple(HomographyMotion(plane_homography(view.camera, *moved, plane)) for moved, plane in poses)
+    return Compensation(motion, modes, residual_px)
+
+
+def fit_pose(
+    camera: Camera,
+    source_px: Array,
+    target_px: Array,
+    sigma_px: Array,
+    plane: Plane,
+    start: Pose,
+    robust_sigmas: float,
+) -> tuple[Pose, Array, Array, float]:
+    """Pose (R, t) that moves points of a known plane onto where they are seen.
+
+    Minimises sum rho(|m' - project(R X + t)| / sigma), X on the plane; rho is Huber's. The scale of the residuals is
+    their median, if that is above what sigma says.
+
+    Args:
+        source_px, target_px: (M, 2) ideal pixels of the frame of the plane and of the other frame.
+        sigma_px: (M, 2) standard uncertainty of target_px.
+
+    Returns:
+        R (3, 3) and t (3,) [m]; the Jacobian (6, M, 2) of the pixels by (rotation vector, translation); the weights
+        (M, 2) [1/px^2]; the misfit, how many times larger than sigma the residuals are (at least 1).
+
+    Raises:
+        MeasurementError: if it does not converge.
+    """
+    points = plane.points(camera.rays(source_px))
+    focal = np.array([camera.fx, camera.fy])
+    R, t = start
+    for _ in range(MAX_ITERATIONS):
+        turned = points @ R.T
+        moved = turned + t
+        z = moved[:, 2]
+        if not np.all(z > 0):
+            break
+        residual = target_px - camera.project(moved)
+        jacobian = _jacobian(focal, turned, moved)
+        normalised = np.linalg.norm(residual / sigma_px, axis=1) / np.sqrt(2)
+        misfit = max(
+            1.0, float(np.median(normalised)) / 0.8326
+        )  # median of a Rayleigh variable with sigma = 1/sqrt(2)
+        huber = np.minimum(1, robust_sigmas * misfit / np.maximum(normalised, 1e-12))
+        weights = huber[:, None] / sigma_px**2
+        weighted = jacobian * weights
+        step = np.linalg.solve(
+            np.einsum("pma,qma->pq", weighted, jacobian), np.einsum("pma,ma->p", weighted, residual)
+        )
+        R, t = _displaced((R, t), step)
+        if np.sqrt(np.mean(np.square(np.einsum("p,pma->ma", step, jacobian)))) < CONVERGED_PX:
+            return (R, t), jacobian, weights, misfit
+    raise MeasurementError("h_pose: the pose of the fixed region did not converge")
+
+
+def _jacobian(focal: Array, turned: Array, moved: Array) -> Array:
+    """d pixel / d (rotation vector, translation), (6, M, 2), for R <- exp(w) R, t <- t + dt."""
+    by_point = np.concatenate([-skew(turned), np.broadcast_to(np.eye(3), (len(turned), 3, 3))], axis=2)
+    z = moved[:, 2, None]
+    by_pixel = (by_point[:, :2] - (moved[:, :2] / z)[:, :, None] * by_point[:, 2:]) / z[:, :, None]
+    return np.transpose(by_pixel * focal[:, None], (2, 0, 1))
+
+
+def _displaced(pose: Pose, step: Array) -> Pose:
+    return Rotation.from_rotvec(step[:3]).as_matrix() @ pose[0], pose[1] + step[3:]

@@ -1,0 +1,108 @@
+"""What a solver is given (`FrameView`) and what it returns: the camera's motion, with its uncertainty."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from rgbd_dic_acquisition.calibration import Camera
+from scipy.sparse import csr_matrix
+
+from ..geometry import Plane, apply_homography
+from ..realignment import Realignment
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class FrameView:
+    """One frame as the solvers see it. Pixels are ideal (undistorted), N subsets.
+
+    reference_px, moved_px: (N, 2); moved_px is NaN where the subset was not found.
+    sigma_px: (N, 2), standard uncertainty of moved_px.
+    fixed: indices of the fixed region's subsets that were found.
+    reference_plane: the panel in the reference frame.
+    plane: the panel in this frame, from the paired ToF frame; None if there is none.
+    seed: homography (3, 3) reference -> image that the DIC started from.
+    """
+
+    camera: Camera
+    reference_px: Array
+    moved_px: Array
+    sigma_px: Array
+    fixed: NDArray[np.intp]
+    correlation: csr_matrix
+    reference_plane: Plane
+    plane: Plane | None
+    seed: Array
+
+
+@dataclass(frozen=True)
+class HomographyMotion:
+    """Reference -> image by a homography of ideal pixels; its inverse brings the moved centres back (Eq. 2.5)."""
+
+    homography: Array
+
+    def move(self, reference_px: Array) -> Array:
+        """Ideal pixels (N, 2) of the reference -> of the image, for points that move with the fixed region."""
+        return apply_homography(self.homography, reference_px)
+
+    def panel_points(self, moved_px: Array, realignment: Realignment) -> Array:
+        """Moved centres (N, 2), camera motion removed, in the panel frame (N, 3) [m]; z is NaN."""
+        restored = apply_homography(np.linalg.inv(self.homography), moved_px)
+        in_plane = realignment.from_pixels(restored)
+        return np.column_stack([in_plane, np.full(len(in_plane), np.nan)])
+
+    def reference_points(self, reference_px: Array, realignment: Realignment) -> Array:
+        """The centres in the reference, in the panel frame (N, 3) [m]; z is NaN."""
+        in_plane = realignment.from_pixels(reference_px)
+        return np.column_stack([in_plane, np.full(len(in_plane), np.nan)])
+
+
+@dataclass(frozen=True)
+class RigidMotion:
+    """Reference -> image frame by X' = R X + t [m]; the points of both frames lie on the planes of their ToF frames."""
+
+    camera: Camera
+    R: Array
+    t: Array
+    reference_plane: Plane
+    plane: Plane
+
+    def move(self, reference_px: Array) -> Array:
+        """As `HomographyMotion.move`."""
+        points = self.reference_plane.points(self.camera.rays(reference_px))
+        return self.camera.project(points @ self.R.T + self.t)
+
+    def panel_points(self, moved_px: Array, realignment: Realignment) -> Array:
+        """Moved centres (N, 2), rigid transform undone, in the panel frame (N, 3) [m] (thesis 2.3.3)."""
+        points = self.plane.points(self.camera.rays(moved_px))
+        return realignment.from_points((points - self.t) @ self.R)
+
+    def reference_points(self, reference_px: Array, realignment: Realignment) -> Array:
+        """The centres in the reference, in the panel frame (N, 3) [m]."""
+        return realignment.from_points(self.reference_plane.points(self.camera.rays(reference_px)))
+
+
+Motion = HomographyMotion | RigidMotion
+
+
+@dataclass(frozen=True)
+class Compensation:
+    """The motion of one frame.
+
+    modes: the motion again, once for each independent error of one standard deviation; whatever is computed from
+        `motion` has the variance sum (f(mode) - f(motion))^2 from the compensation.
+    residual_px: RMS of the fixed region's reprojection error.
+    """
+
+    motion: Motion
+    modes: tuple[Motion, ...]
+    residual_px: float
+
+
+def reprojection_rms(motion: Motion, view: FrameView, used: NDArray[np.intp]) -> float:
+    """RMS distance [px] between where the used subsets are and where the motion puts them."""
+    error = view.moved_px[used] - motion.move(view.reference_px[used])
+    return float(np.sqrt(np.mean(np.sum(error**2, axis=1))))

@@ -1,0 +1,103 @@
+"""The rigid transform between the fixed region's 3D centres in the reference and in a frame: h_3d and pc_3d."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from rgbd_dic_acquisition.errors import MeasurementError
+from scipy.spatial.transform import Rotation
+
+from ..geometry import Plane, rigid_transform, skew
+from ..msac import msac
+from ..settings import CompensationSettings
+from ..uncertainty import independent_modes, linear_covariance
+from .motion import FrameView
+
+Array = NDArray[np.float64]
+Pose = tuple[Array, Array]
+
+
+@dataclass(frozen=True)
+class RigidFit:
+    """R, t of X' = R X + t; the subsets used; and the fit again for each independent error.
+
+    Each of `modes` is (pose, reference plane, plane) with one error of one standard deviation: of the DIC centres, of
+    the reference's plane, of this frame's plane.
+    """
+
+    pose: Pose
+    used: NDArray[np.intp]
+    modes: tuple[tuple[Pose, Plane, Plane], ...]
+
+
+def fit_rigid(view: FrameView, settings: CompensationSettings) -> RigidFit:
+    """Rigid MSAC on the 3D centres, which the two planes give (Eq. 2.1, 2.2); the thesis' estimateGeometricTransform3D.
+
+    Raises:
+        MeasurementError: if no rigid transform fits enough subsets.
+    """
+    source = view.reference_plane.points(view.camera.rays(view.reference_px[view.fixed]))
+    target = view.plane.points(view.camera.rays(view.moved_px[view.fixed]))
+    footprint = -view.plane.d / view.camera.fx
+
+    def residuals(pose: Pose) -> Array:
+        return np.linalg.norm(target - source @ pose[0].T - pose[1], axis=1)
+
+    pose, inliers = msac(
+        len(source),
+        3,
+        lambda chosen: rigid_transform(source[chosen], target[chosen]),
+        residuals,
+        settings.inlier_px * footprint,
+        settings.max_trials,
+    )
+    if inliers.sum() < settings.min_subsets:
+        raise MeasurementError(
+            f"rigid fit: {inliers.sum()} subsets of the fixed region agree, at least {settings.min_subsets} needed"
+        )
+    used = view.fixed[inliers]
+    return RigidFit(pose, used, _modes(view, pose, used))
+
+
+def _modes(view: FrameView, pose: Pose, used: NDArray[np.intp]) -> tuple[tuple[Pose, Plane, Plane], ...]:
+    modes = [(moved, view.reference_plane, view.plane) for moved in _centre_modes(view, pose, used)]
+    for plane in _plane_modes(view.reference_plane):
+        modes.append((_refit(replace(view, reference_plane=plane), used), plane, view.plane))
+    for plane in _plane_modes(view.plane):
+        modes.append((_refit(replace(view, plane=plane), used), view.reference_plane, plane))
+    return tuple(modes)
+
+
+def _refit(view: FrameView, used: NDArray[np.intp]) -> Pose:
+    return rigid_transform(
+        view.reference_plane.points(view.camera.rays(view.reference_px[used])),
+        view.plane.points(view.camera.rays(view.moved_px[used])),
+    )
+
+
+def _plane_modes(plane: Plane) -> list[Plane]:
+    return [
+        Plane.from_inverse_depth(plane.inverse_depth + mode)
+        for mode in independent_modes(plane.inverse_depth_covariance())
+    ]
+
+
+def _centre_modes(view: FrameView, pose: Pose, used: NDArray[np.intp]) -> list[Pose]:
+    """The pose displaced by each independent error that the DIC's uncertainty causes.
+
+    To first order the fit solves sum |dX' - w x (R X) - dt|^2 with dX' = (z/f) (du, dv, 0).
+    """
+    R, t = pose
+    turned = view.reference_plane.points(view.camera.rays(view.reference_px[used])) @ R.T
+    jacobian = np.concatenate([-skew(turned), np.broadcast_to(np.eye(3), (len(used), 3, 3))], axis=2)
+    depth = (turned + t)[:, 2]
+    normal_matrix = np.einsum("mip,miq->pq", jacobian, jacobian)
+    per_pixel = np.stack([depth / view.camera.fx, depth / view.camera.fy], axis=1)
+    sensitivity = np.einsum("pq,miq,mi->pmi", np.linalg.inv(normal_matrix), jacobian[:, :2], per_pixel)
+    covariance = linear_covariance(sensitivity, view.sigma_px[used], view.correlation, used)
+    return [
+        (Rotation.from_rotvec(mode[:3]).as_matrix() @ R, t + mode[3:])
+        for mode in independent_modes(covariance)
+    ]

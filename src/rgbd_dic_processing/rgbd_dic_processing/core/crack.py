@@ -1,0 +1,180 @@
+"""Step 9 of the method: the opening between the zones on the two sides of the crack (thesis 4.4.2)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from rgbd_dic_acquisition.calibration import Camera
+from scipy.sparse import csr_matrix
+
+from .displacement import DisplacementField
+from .geometry import apply_homography
+from .homography import fit_homography
+from .regions import CrackZones, inside
+from .settings import CrackSettings
+from .status import FrameStatus
+from .uncertainty import overlap_correlation, quadratic_terms
+
+Array = NDArray[np.float64]
+NAN3 = np.full(3, np.nan)
+
+
+@dataclass(frozen=True)
+class CrackOpening:
+    """Right zone minus left zone in crack axes [m]; NaN where it is not valid or not known.
+
+    opening: normal to the crack, positive when the sides part. sliding: along it. out_of_plane: into the wall, pc_3d
+    only. magnitude: of the components that are known. u_...: standard uncertainties.
+    latency_s: from the arrival of the image to the publishing of this; NaN offline.
+    """
+
+    stamp_ns: int
+    reference_stamp_ns: int
+    method: str
+    status: FrameStatus
+    reason: str
+    opening_m: float
+    sliding_m: float
+    out_of_plane_m: float
+    magnitude_m: float
+    u_opening_m: float
+    u_sliding_m: float
+    u_out_of_plane_m: float
+    u_magnitude_m: float
+    n_left: int
+    n_right: int
+    depth_offset_s: float
+    latency_s: float = math.nan
+
+    @property
+    def valid(self) -> bool:
+        return self.status == FrameStatus.OK
+
+
+class CrackMeasurement:
+    """The mean displacement of one zone minus that of the other, with its standard uncertainty.
+
+    The uncertainty has three parts: the DIC's, with the correlation of overlapping subsets; the compensation's, whose
+    modes act on both zones alike but for their distance; and that of the scale.
+    """
+
+    def __init__(self, camera: Camera, zones: CrackZones, settings: CrackSettings):
+        self._camera, self._zones, self._settings = camera, zones, settings
+        self._layout: tuple[Array, _ZoneLayout] | None = None
+
+    def measure(self, field: DisplacementField) -> CrackOpening:
+        if field.status != FrameStatus.OK:
+            return _invalid(field, field.status, field.reason)
+        layout = self._zone_layout(field)
+        found = np.isfinite(field.displacement_m[:, :2]).all(axis=1)
+        left, right = layout.left[found[layout.left]], layout.right[found[layout.right]]
+        for name, zone in (("left", left), ("right", right)):
+            if len(zone) < self._settings.min_subsets:
+                return _invalid(
+                    field,
+                    FrameStatus.EMPTY_ZONE,
+                    f"{len(zone)} valid subsets in the {name} zone, at least {self._settings.min_subsets} needed",
+                    len(left),
+                    len(right),
+                )
+        axes = layout.crack_axes(self._camera, self._zones, field.position_m)
+        apart = field.displacement_m[right].mean(axis=0) - field.displacement_m[left].mean(axis=0)
+        jump = np.append(axes @ apart[:2], apart[2])
+        variance = self._variance(field, layout, axes, left, right) + (jump * field.scale_uncertainty) ** 2
+        magnitude, u_magnitude = _magnitude(jump, variance)
+        sigma = np.sqrt(variance)
+        return CrackOpening(
+            field.stamp_ns,
+            field.reference_stamp_ns,
+            field.method,
+            FrameStatus.OK,
+            "",
+            *(float(value) for value in jump),
+            magnitude,
+            *(float(value) for value in sigma),
+            u_magnitude,
+            len(left),
+            len(right),
+            field.depth_offset_s,
+        )
+
+    def _zone_layout(self, field: DisplacementField) -> _ZoneLayout:
+        if self._layout is None or not np.array_equal(self._layout[0], field.centres_px):
+            self._layout = (field.centres_px, _ZoneLayout.of(self._zones, field))
+        return self._layout[1]
+
+    def _variance(
+        self, field: DisplacementField, layout: _ZoneLayout, axes: Array, left: NDArray, right: NDArray
+    ) -> Array:
+        """(3,) variances along the crack axes [m^2], without the scale's; NaN for z where it is not known."""
+        total = np.zeros(3)
+        for zone in (left, right):
+            squared = field.sigma_m[zone].astype(float) ** 2
+            component = np.sqrt(np.column_stack([squared[:, :2] @ (axes**2).T, squared[:, 2]]))
+            shared = layout.correlation[zone][:, zone]
+            total += np.sum(component * (shared @ component), axis=0) / len(zone) ** 2
+        terms = [quadratic_terms(field.position_m[zone]).mean(axis=0) for zone in (left, right)]
+        modes = field.modes @ (terms[1] - terms[0])
+        return total + np.append(np.sum((modes[:, :2] @ axes.T) ** 2, axis=0), np.sum(modes[:, 2] ** 2))
+
+
+@dataclass(frozen=True)
+class _ZoneLayout:
+    """Which subsets belong to each zone, and how their errors correlate; the same for all frames of a reference."""
+
+    left: NDArray[np.intp]
+    right: NDArray[np.intp]
+    centres_px: Array
+    correlation: csr_matrix
+
+    @classmethod
+    def of(cls, zones: CrackZones, field: DisplacementField) -> _ZoneLayout:
+        centres = field.centres_px.astype(float)
+        left, right = (np.flatnonzero(inside(zone, centres)) for zone in (zones.left, zones.right))
+        return cls(left, right, centres, overlap_correlation(centres, field.subset_size))
+
+    def crack_axes(self, camera: Camera, zones: CrackZones, position_m: Array) -> Array:
+        """Rows: normal to the crack and along it, in panel coordinates (2, 2).
+
+        The crack's direction in the raw reference image becomes one on the panel by the homography from ideal
+        reference pixels to panel coordinates, taken where the direction was given.
+        """
+        to_panel = fit_homography(camera.undistort(self.centres_px), position_m)
+        ends = apply_homography(
+            to_panel, camera.undistort(zones.point + np.outer((-0.5, 0.5), zones.direction))
+        )
+        along = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+        return np.array([[along[1], -along[0]], [along[0], along[1]]])
+
+
+def _magnitude(jump: Array, variance: Array) -> tuple[float, float]:
+    """Length of the known components of the jump, and its standard uncertainty to first order.
+
+    At a jump of zero, where the length has no derivative, the uncertainty is that of all components together.
+    """
+    known = np.isfinite(jump)
+    length = math.sqrt(np.sum(jump[known] ** 2))
+    share = jump[known] / length if length > 0 else np.ones(known.sum())
+    return length, math.sqrt(np.sum(share**2 * variance[known]))
+
+
+def _invalid(
+    field: DisplacementField, status: FrameStatus, reason: str, n_left: int = 0, n_right: int = 0
+) -> CrackOpening:
+    return CrackOpening(
+        field.stamp_ns,
+        field.reference_stamp_ns,
+        field.method,
+        status,
+        reason,
+        *NAN3,
+        math.nan,
+        *NAN3,
+        math.nan,
+        n_left,
+        n_right,
+        field.depth_offset_s,
+    )

@@ -1,0 +1,154 @@
+"""Planes, homographies and rigid transforms. Column vectors, X_target = R X_source + t, optical frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from rgbd_dic_acquisition.calibration import Camera
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Plane:
+    """n . X + d = 0 in an optical frame [m]: |n| = 1, n_z > 0, so d < 0 and the distance is -d.
+
+    `covariance` (4, 4) is that of (n_x, n_y, n_z, d), rank 3.
+    """
+
+    normal: Array
+    d: float
+    covariance: Array
+
+    @property
+    def inverse_depth(self) -> Array:
+        """pi = n / -d, (3,) [1/m]: pi . X = 1. Unconstrained, and linear in 1/z: the form in which planes average."""
+        return self.normal / -self.d
+
+    def inverse_depth_covariance(self) -> Array:
+        """Covariance (3, 3) of `inverse_depth`."""
+        jacobian = np.hstack([np.eye(3) / -self.d, (self.normal / self.d**2)[:, None]])
+        return jacobian @ self.covariance @ jacobian.T
+
+    @classmethod
+    def from_inverse_depth(cls, pi: Array, covariance: Array | None = None) -> Plane:
+        """From pi (3,) [1/m] and its covariance (3, 3)."""
+        length = float(np.linalg.norm(pi))
+        normal = pi / length
+        d_normal = (np.eye(3) - np.outer(normal, normal)) / length
+        d_offset = normal / length**2
+        jacobian = np.vstack([d_normal, d_offset])
+        covariance = np.zeros((3, 3)) if covariance is None else covariance
+        return cls(normal, -1 / length, jacobian @ covariance @ jacobian.T)
+
+    def depths(self, rays: Array) -> Array:
+        """z of the points where rays (N, 3) with z = 1 meet the plane (Eq. 2.1) [m]; NaN where they do not."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            z = -self.d / (rays @ self.normal)
+        return np.where(z > 0, z, np.nan)
+
+    def points(self, rays: Array) -> Array:
+        """The points (N, 3) [m] where rays (N, 3) meet the plane (Eq. 2.2)."""
+        return rays * self.depths(rays)[..., None]
+
+    def moved(self, R: Array, t: Array) -> Plane:
+        """The same plane in the frame reached by X' = R X + t."""
+        normal = R @ self.normal
+        blocks = np.zeros((4, 4))
+        blocks[:3, :3], blocks[3, :3], blocks[3, 3] = R, -t @ R, 1
+        return Plane(normal, float(self.d - normal @ t), blocks @ self.covariance @ blocks.T)
+
+
+def plane_homography(camera: Camera, R: Array, t: Array, plane: Plane) -> Array:
+    """H = K (R - t n^T / d) K^-1, (3, 3): ideal pixels of the source frame -> of the target (Eq. 2.3, column form)."""
+    K = camera.matrix
+    return K @ (R - np.outer(t, plane.normal) / plane.d) @ np.linalg.inv(K)
+
+
+def pose_from_homography(camera: Camera, H: Array, plane: Plane) -> tuple[Array, Array]:
+    """R (3, 3), t (3,) [m] of the plane-induced homography H of a known plane: the inverse of `plane_homography`.
+
+    K^-1 H K = s (R - t n^T / d). Two vectors across n lose the second term, which gives s and R; the rest is t.
+    R is the rotation nearest to the (noisy) result.
+    """
+    K = camera.matrix
+    M = np.linalg.inv(K) @ H @ K
+    across = np.linalg.svd(plane.normal[None, :])[2][1:].T
+    moved = M @ across
+    s = np.sqrt(np.linalg.norm(moved[:, 0]) * np.linalg.norm(moved[:, 1]))
+    if np.linalg.det(M) < 0:
+        s = -s
+    moved = moved / s
+    source = np.column_stack([across, np.cross(across[:, 0], across[:, 1])])
+    target = np.column_stack([moved, np.cross(moved[:, 0], moved[:, 1])])
+    R = nearest_rotation(target @ source.T)
+    t = plane.d * (R - M / s) @ plane.normal
+    return R, t
+
+
+def apply_homography(H: Array, points_px: Array) -> Array:
+    """Points (N, 2) -> (N, 2); NaN for a point that goes to infinity or behind."""
+    points = np.asarray(points_px, float)
+    homogeneous = points @ H[:, :2].T + H[:, 2]
+    w = homogeneous[..., 2:]
+    return homogeneous[..., :2] / np.where(w > 0, w, np.nan)
+
+
+def nearest_rotation(M: Array) -> Array:
+    """The rotation (3, 3) nearest to M in the Frobenius norm."""
+    u, _, vt = np.linalg.svd(M)
+    return u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
+
+
+def rigid_transform(source: Array, target: Array) -> tuple[Array, Array]:
+    """R, t that minimise sum |target - R source - t|^2 over points (N, 3), N >= 3 (Kabsch 1976)."""
+    source_mean, target_mean = source.mean(axis=0), target.mean(axis=0)
+    R = nearest_rotation((target - target_mean).T @ (source - source_mean))
+    return R, target_mean - R @ source_mean
+
+
+def skew(vectors: Array) -> Array:
+    """(N, 3) -> (N, 3, 3) with skew(a) @ b = a x b."""
+    a = np.asarray(vectors, float)
+    zero = np.zeros(a.shape[:-1])
+    rows = [
+        np.stack([zero, -a[..., 2], a[..., 1]], axis=-1),
+        np.stack([a[..., 2], zero, -a[..., 0]], axis=-1),
+        np.stack([-a[..., 1], a[..., 0], zero], axis=-1),
+    ]
+    return np.stack(rows, axis=-2)
+
+
+class SeedMaps:
+    """Second-order maps of each subset under distortion o homography o undistortion, for the DIC kernel.
+
+    A first-order subset under perspective carries a second-order bias; so the kernel warps each subset by this map
+    composed with the affine increment it solves for. The coefficients come from central differences over the
+    subset's own extent (a 3 x 3 stencil), in the basis [1, xi, eta, xi^2, xi eta, eta^2] of offsets from the centre.
+    """
+
+    def __init__(self, camera: Camera, centres_px: Array, reach_px: float):
+        self._camera = camera
+        self._reach = reach_px
+        offsets = np.array(
+            [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1), (1, -1), (-1, 1)], float
+        )
+        stencil = np.asarray(centres_px, float)[None] + reach_px * offsets[:, None]
+        self._ideal = camera.undistort(stencil.reshape(-1, 2))
+
+    def seeds(self, H: Array) -> Array:
+        """(N, 2, 6) for the homography H (3, 3), reference -> image in ideal pixels."""
+        moved = self._camera.distort(apply_homography(H, self._ideal)).reshape(9, -1, 2)
+        centre, right, left, down, up, right_down, left_up, right_up, left_down = moved
+        h = self._reach
+        coefficients = (
+            centre,
+            (right - left) / (2 * h),
+            (down - up) / (2 * h),
+            (right - 2 * centre + left) / (2 * h * h),
+            (right_down + left_up - right_up - left_down) / (4 * h * h),
+            (down - 2 * centre + up) / (2 * h * h),
+        )
+        return np.stack(coefficients, axis=-1)

@@ -1,0 +1,235 @@
+"""The panel's plane in the camera frame, from one ToF frame (thesis 4.3.1)."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from rgbd_dic_acquisition.calibration import Calibration, Camera
+from rgbd_dic_acquisition.errors import CalibrationError, MeasurementError
+
+from .geometry import Plane, apply_homography
+from .msac import msac
+from .regions import polygon_mask
+from .settings import PlaneSettings
+from .status import FrameStatus
+
+Array = NDArray[np.float64]
+
+MSAC_POINTS = 1000  # points of the sample consensus; the fit after it takes all
+MSAC_TRIALS = 200
+VIEW_LIMIT_S = (
+    0.25  # a ToF frame farther than this from every image has no view to carry the panel region into
+)
+
+
+@dataclass(frozen=True)
+class PlaneEstimate:
+    """The plane of one ToF frame, or why there is none."""
+
+    stamp_ns: int
+    status: FrameStatus
+    reason: str = ""
+    plane: Plane | None = None
+    points: int = 0
+    inliers: int = 0
+    residual_rms_m: float = math.nan
+
+
+def fit_plane(points_m: Array, settings: PlaneSettings) -> tuple[Plane, NDArray[np.bool_], float]:
+    """Robust plane through points (N, 3) [m] of a sensor whose noise lies along z.
+
+    The plane is pi . X = 1, so 1/z = pi . g with g = X/z: linear in pi. The residual (1/z - pi . g) z^2 is the depth
+    error to first order. Sample consensus finds the start; Tukey's biweight, scaled by the median absolute residual,
+    the plane through all points.
+
+    Returns:
+        The plane with its covariance, the mask (N,) of the points that kept weight, the RMS of their residuals [m].
+
+    Raises:
+        MeasurementError: if too few points lie on one plane, or the residual is larger than believed.
+    """
+    z = points_m[:, 2]
+    rays, inverse, scale = points_m / z[:, None], 1 / z, z**2
+
+    def solve(chosen: NDArray[np.intp] | slice, weights: Array | float = 1.0) -> Array | None:
+        weighted = rays[chosen] * (weights * scale[chosen] ** 2)[:, None]
+        normal_matrix = weighted.T @ rays[chosen]
+        if np.linalg.cond(normal_matrix) > 1e14:
+            return None
+        solution = np.linalg.solve(normal_matrix, weighted.T @ inverse[chosen])
+        return solution if solution[2] > 0 else None
+
+    def depth_errors(pi: Array) -> Array:
+        return np.abs(inverse - rays @ pi) * scale
+
+    sample = np.linspace(0, len(z) - 1, min(len(z), MSAC_POINTS)).astype(int)
+    pi, _ = msac(
+        len(sample),
+        3,
+        lambda chosen: solve(sample[chosen]),
+        lambda model: depth_errors(model)[sample],
+        settings.max_residual_m,
+        MSAC_TRIALS,
+    )
+    weights = np.ones(len(z))
+    for _ in range(20):
+        errors = depth_errors(pi)
+        near = errors <= settings.max_residual_m
+        sigma = 1.4826 * np.median(errors[near]) + 1e-12
+        weights = np.where(near, np.clip(1 - (errors / (4.685 * sigma)) ** 2, 0, None) ** 2, 0)
+        refined = solve(slice(None), weights)
+        if refined is None:
+            raise MeasurementError("the ToF points do not span a plane")
+        change = np.abs(depth_errors(refined) - errors).max()
+        pi = refined
+        if change < 1e-7:
+            break
+    inliers = weights > 0
+    share = inliers.mean()
+    if share < settings.min_inliers:
+        raise MeasurementError(
+            f"only {share:.0%} of {len(z)} ToF points on the panel lie on one plane "
+            f"(at least {settings.min_inliers:.0%} needed)"
+        )
+    residuals = (inverse - rays @ pi) * scale
+    rms = float(np.sqrt(np.mean(residuals[inliers] ** 2)))
+    if rms > settings.max_residual_m:
+        raise MeasurementError(
+            f"plane residual {rms * 1e3:.1f} mm RMS is above {settings.max_residual_m * 1e3:.1f} mm"
+        )
+    weighted = rays * (scale * weights)[:, None]
+    variance = np.sum(weights * residuals**2) / max(np.sum(weights) - 3, 1)
+    bread = np.linalg.inv(weighted.T @ (rays * scale[:, None]))
+    covariance = variance * bread @ (weighted.T @ weighted) @ bread
+    return Plane.from_inverse_depth(pi, covariance), inliers, rms
+
+
+class PanelPlane:
+    """Fits the plane of each ToF frame inside the panel region, carried into the current view.
+
+    A ToF frame waits for the first image at or after it, so that the view nearest in time is known; which one it
+    uses depends on the stamps alone.
+    """
+
+    def __init__(self, calibration: Calibration, panel_px: Array, settings: PlaneSettings):
+        if calibration.tof is None:
+            raise CalibrationError(
+                "the calibration has no 'tof': planes need its intrinsics and T_camera_tof"
+            )
+        self._calibration = calibration
+        self._settings = settings
+        self._mask = polygon_mask(panel_px, calibration.camera.width, calibration.camera.height)
+        self._rays = _pixel_rays(calibration.tof)
+        self._waiting: deque[tuple[int, Array | None, str]] = deque()
+        self._views: deque[tuple[int, Array | None]] = deque(maxlen=64)
+
+    def add_depth(
+        self, stamp_ns: int, depth_m: NDArray[np.float32] | None, reason: str = ""
+    ) -> list[PlaneEstimate]:
+        """A ToF depth image (rows, cols) [m], NaN invalid; None with a reason if it could not be read."""
+        points = None
+        if depth_m is not None:
+            tof = self._calibration.tof
+            if depth_m.shape != (tof.height, tof.width):
+                reason = (
+                    f"depth image is {depth_m.shape[1]} x {depth_m.shape[0]} px, calibrated are "
+                    f"{tof.width} x {tof.height} px"
+                )
+            else:
+                valid = np.isfinite(depth_m)
+                points = self._rays[valid] * depth_m[valid, None].astype(float)
+        return self.add_points(stamp_ns, points, reason)
+
+    def add_points(self, stamp_ns: int, points_m: Array | None, reason: str = "") -> list[PlaneEstimate]:
+        """A ToF point cloud (N, 3) in the ToF frame [m]; rows with NaN are dropped."""
+        if points_m is not None:
+            points_m = points_m[np.isfinite(points_m).all(axis=1)]
+        self._waiting.append((stamp_ns, points_m, reason))
+        return self._settle()
+
+    def add_view(self, stamp_ns: int, homography: Array | None) -> list[PlaneEstimate]:
+        """The homography reference -> image (ideal pixels) of an image; None if the image was lost."""
+        self._views.append((stamp_ns, homography))
+        return self._settle()
+
+    def flush(self) -> list[PlaneEstimate]:
+        """No more images come: settle all frames with the views that are there."""
+        return self._settle(all_of_them=True)
+
+    def _settle(self, all_of_them: bool = False) -> list[PlaneEstimate]:
+        estimates = []
+        newest = self._views[-1][0] if self._views else -math.inf
+        while self._waiting and (all_of_them or newest >= self._waiting[0][0]):
+            estimates.append(self._estimate(*self._waiting.popleft()))
+        return estimates
+
+    def _estimate(self, stamp_ns: int, points_m: Array | None, reason: str) -> PlaneEstimate:
+        if reason or points_m is None:
+            return PlaneEstimate(stamp_ns, FrameStatus.BAD_DEPTH, reason or "no depth")
+        if not len(points_m):
+            return PlaneEstimate(stamp_ns, FrameStatus.BAD_DEPTH, "the ToF frame has no valid pixel")
+        view = min(self._views, key=lambda entry: abs(entry[0] - stamp_ns), default=None)
+        if view is None or abs(view[0] - stamp_ns) > VIEW_LIMIT_S * 1e9 or view[1] is None:
+            return PlaneEstimate(
+                stamp_ns, FrameStatus.NO_PLANE, "no image near it in which the panel was found"
+            )
+        on_panel = self._panel_points(points_m, view[1])
+        if len(on_panel) < self._settings.min_points:
+            return PlaneEstimate(
+                stamp_ns,
+                FrameStatus.NO_PLANE,
+                f"{len(on_panel)} ToF points on the panel, at least {self._settings.min_points} needed",
+                points=len(on_panel),
+            )
+        try:
+            plane, inliers, rms = fit_plane(on_panel, self._settings)
+        except MeasurementError as error:
+            return PlaneEstimate(stamp_ns, FrameStatus.NO_PLANE, str(error), points=len(on_panel))
+        return PlaneEstimate(stamp_ns, FrameStatus.OK, "", plane, len(on_panel), int(inliers.sum()), rms)
+
+    def _panel_points(self, points_m: Array, homography: Array) -> Array:
+        """The points, in the camera frame, whose projection (Eq. 4.1) falls into the panel region of the reference."""
+        camera = self._calibration.camera
+        points = points_m @ self._calibration.R_camera_tof.T + self._calibration.t_camera_tof
+        near_enough = (points[:, 2] >= self._settings.min_distance_m) & (
+            points[:, 2] <= self._settings.max_distance_m
+        )
+        points = points[near_enough]
+        reference = camera.distort(apply_homography(np.linalg.inv(homography), camera.project(points)))
+        with np.errstate(invalid="ignore"):
+            column, row = np.round(np.nan_to_num(reference, nan=-1)).astype(int).T
+        seen = (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
+        seen[seen] = self._mask[row[seen], column[seen]]
+        return points[seen]
+
+
+class PlaneMotion:
+    """How much less certain a plane is at the moment of the image than at that of its ToF frame.
+
+    The plane stays what it was measured to be (no interpolation, thesis 4.3.1), but its covariance grows by the change
+    that its recent rate makes over the time between the two.
+    """
+
+    def __init__(self) -> None:
+        self._last: tuple[int, Array] | None = None
+        self._rate = np.zeros(3)  # of the inverse depth [1/(m s)]
+
+    def at_image(self, plane: Plane, depth_stamp_ns: int, stamp_ns: int) -> Plane:
+        """The plane with its covariance at the image. Planes must come in the order of time."""
+        pi = plane.inverse_depth
+        if self._last is not None and depth_stamp_ns > self._last[0]:
+            self._rate = (pi - self._last[1]) / ((depth_stamp_ns - self._last[0]) * 1e-9)
+        self._last = (depth_stamp_ns, pi)
+        change = self._rate * (stamp_ns - depth_stamp_ns) * 1e-9
+        return Plane.from_inverse_depth(pi, plane.inverse_depth_covariance() + np.outer(change, change))
+
+
+def _pixel_rays(camera: Camera) -> Array:
+    """Rays (rows, cols, 3), z = 1, of all pixels."""
+    columns, rows = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+    pixels = np.stack([columns, rows], axis=-1).reshape(-1, 2).astype(float)
+    return camera.rays(camera.undistort(pixels)).reshape(camera.height, camera.width, 3)

@@ -1,0 +1,254 @@
+"""The regions that a user draws on the reference image; the file `regions.yaml` (docs/files.md).
+
+All coordinates are pixels of the raw reference image, x right, y down.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+from rgbd_dic_acquisition.errors import RegionsError
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class CrackZones:
+    """The measuring zones on the two sides of the crack, as polygons (M, 2) [px], and the crack's direction (2,)
+    at a point (2,) on it.
+
+    The normal points from left to right; `direction` is a unit vector along the crack such that the normal turned by
+    90 degrees from x towards y is the direction.
+    """
+
+    left: Array
+    right: Array
+    point: Array
+    direction: Array
+
+    @classmethod
+    def from_point(
+        cls, point: Array, direction: Array, across: float, along: float, gap: float
+    ) -> CrackZones:
+        """Two rectangles, symmetric about the crack line through `point` (thesis 4.4.2).
+
+        Args:
+            point: on the crack [px].
+            direction: along the crack; either sign, any length.
+            across, along: size of each rectangle normal to the crack and along it [px].
+            gap: distance of each rectangle's near side from the crack line [px].
+        """
+        tangent = _oriented(direction)
+        normal = np.array([tangent[1], -tangent[0]])
+        corners = np.array(
+            [(gap, -along / 2), (gap + across, -along / 2), (gap + across, along / 2), (gap, along / 2)]
+        )
+        right = point + corners[:, :1] * normal + corners[:, 1:] * tangent
+        left = point - corners[:, :1] * normal + corners[:, 1:] * tangent
+        return cls(left, right, np.asarray(point, float), tangent)
+
+    @classmethod
+    def from_rectangles(cls, left: Array, right: Array, direction: Array | None = None) -> CrackZones:
+        """Two rectangles [x0, y0, x1, y1] [px]. Without a direction the crack is taken to be at right angles to the
+        line between their centres; the normal points from left to right."""
+        boxes = [
+            np.array([(b[0], b[1]), (b[2], b[1]), (b[2], b[3]), (b[0], b[3])], float) for b in (left, right)
+        ]
+        centres = [box.mean(axis=0) for box in boxes]
+        between = centres[1] - centres[0]
+        tangent = np.array([-between[1], between[0]]) if direction is None else np.asarray(direction, float)
+        length = np.linalg.norm(tangent)
+        if length == 0:
+            raise RegionsError("crack: the two rectangles have the same centre, or the direction is zero")
+        tangent = tangent / length
+        if np.dot([tangent[1], -tangent[0]], between) < 0:
+            tangent = -tangent
+        return cls(boxes[0], boxes[1], (centres[0] + centres[1]) / 2, tangent)
+
+
+@dataclass(frozen=True)
+class Regions:
+    """What regions.yaml holds.
+
+    panel: polygon (M, 2) in which subsets are laid and ToF points are taken for the plane.
+    fixed: polygons of the part that is taken as rigid; empty means the whole panel.
+    x_axis: two points (2, 2) on the panel's x axis, or None for the principal axes (thesis 2.4).
+    crack: the measuring zones, or None where only maps are wanted.
+    """
+
+    panel: Array
+    fixed: tuple[Array, ...]
+    x_axis: Array | None
+    crack: CrackZones | None
+
+    def fixed_members(self, points_px: Array) -> Mask:
+        """Which points (N, 2) lie in the fixed region."""
+        if not self.fixed:
+            return inside(self.panel, points_px)
+        return np.any([inside(polygon, points_px) for polygon in self.fixed], axis=0)
+
+    def check(self, width: int, height: int, subset_size: int, step: int) -> None:
+        """Refuse regions that cannot work on an image of this size [px].
+
+        Raises:
+            RegionsError: naming the region and what is wrong with it.
+        """
+        named = [("panel", self.panel)] + [(f"fixed[{i}]", p) for i, p in enumerate(self.fixed)]
+        if self.crack is not None:
+            named += [("crack: left zone", self.crack.left), ("crack: right zone", self.crack.right)]
+        if self.x_axis is not None:
+            named += [("x_axis", self.x_axis)]
+        for name, points in named:
+            outside = (points < -0.5) | (points > np.array([width, height]) - 0.5)
+            if outside.any():
+                x, y = points[outside.any(axis=1)][0]
+                raise RegionsError(
+                    f"{name} has the point ({x:g}, {y:g}), outside the image of {width} x {height} px: "
+                    "draw the regions on this camera's reference image"
+                )
+        centres = self.subset_centres(width, height, subset_size, step)
+        members = [("fixed", self.fixed_members(centres))]
+        if self.crack is not None:
+            members += [
+                ("crack: left zone", inside(self.crack.left, centres)),
+                ("crack: right zone", inside(self.crack.right, centres)),
+            ]
+        for name, member in members:
+            if not member.any():
+                raise RegionsError(
+                    f"{name} holds no subset centre (subsets of {subset_size} px every {step} px inside the panel): "
+                    "make it larger, move it into the panel, or choose a smaller step"
+                )
+
+    def subset_centres(self, width: int, height: int, subset_size: int, step: int) -> NDArray[np.int32]:
+        """Centres (N, 2) of the subsets that lie wholly inside the panel, row by row.
+
+        Raises:
+            RegionsError: if there is none.
+        """
+        half = subset_size // 2
+        low = np.maximum(np.ceil(self.panel.min(axis=0)).astype(int) + half, half)
+        high = np.minimum(np.floor(self.panel.max(axis=0)).astype(int), [width - 1, height - 1]) - half
+        xs, ys = np.arange(low[0], high[0] + 1, step), np.arange(low[1], high[1] + 1, step)
+        grid = np.stack(np.meshgrid(xs, ys), axis=-1).reshape(-1, 2)
+        corners = half * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
+        kept = np.all([inside(self.panel, grid + corner) for corner in corners], axis=0) if len(grid) else []
+        if not np.any(kept):
+            raise RegionsError(
+                f"panel holds no whole subset of {subset_size} px: draw it larger or choose smaller subsets"
+            )
+        return np.ascontiguousarray(grid[kept], np.int32)
+
+
+def inside(polygon_px: Array, points_px: Array) -> Mask:
+    """Which points (N, 2) lie inside a polygon (M, 2) or on its border."""
+    outline = np.asarray(polygon_px, np.float32).reshape(-1, 1, 2)
+    return np.array(
+        [cv2.pointPolygonTest(outline, (float(x), float(y)), False) >= 0 for x, y in np.asarray(points_px)],
+        bool,
+    )
+
+
+def polygon_mask(polygon_px: Array, width: int, height: int) -> Mask:
+    """(height, width) mask of the pixels inside a polygon: for many points, looked up at whole pixels."""
+    mask = np.zeros((height, width), np.uint8)
+    cv2.fillPoly(mask, [np.round(np.asarray(polygon_px)).astype(np.int32)], 1)
+    return mask.astype(bool)
+
+
+def load_regions(path: Path | str) -> Regions:
+    """Read regions.yaml.
+
+    Raises:
+        RegionsError: naming the file, the entry and what is wrong with it.
+    """
+    path = Path(path)
+    try:
+        content = yaml.safe_load(path.read_text())
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise RegionsError(f"cannot read regions {path}: {error}") from error
+    if not isinstance(content, dict) or "panel" not in content:
+        raise RegionsError(f"{path}: needs an entry 'panel' (see docs/files.md)")
+    unknown = sorted(set(content) - {"panel", "fixed", "x_axis", "crack"})
+    if unknown:
+        raise RegionsError(
+            f"{path}: unknown entry {', '.join(unknown)}; known are panel, fixed, x_axis, crack"
+        )
+    try:
+        return Regions(
+            panel=_points(content["panel"], "panel", least=3),
+            fixed=tuple(_points(p, f"fixed[{i}]", least=3) for i, p in enumerate(content.get("fixed") or [])),
+            x_axis=_axis(content.get("x_axis")),
+            crack=_crack(content.get("crack")),
+        )
+    except RegionsError as error:
+        raise RegionsError(f"{path}: {error}") from error
+
+
+def _points(value: Any, name: str, least: int) -> Array:
+    try:
+        points = np.array(value, float)
+    except (TypeError, ValueError) as error:
+        raise RegionsError(f"{name}: expected a list of points [x, y], got {value!r}") from error
+    if points.ndim != 2 or points.shape[1] != 2 or len(points) < least or not np.all(np.isfinite(points)):
+        raise RegionsError(f"{name}: expected at least {least} points [x, y] in pixels, got {value!r}")
+    return points
+
+
+def _axis(value: Any) -> Array | None:
+    if value is None:
+        return None
+    points = _points(value, "x_axis", least=2)
+    if len(points) != 2 or np.array_equal(points[0], points[1]):
+        raise RegionsError(f"x_axis: expected two different points, got {value!r}")
+    return points
+
+
+def _crack(value: Any) -> CrackZones | None:
+    if value is None:
+        return None
+    if not isinstance(value, dict):
+        raise RegionsError(f"crack: expected left and right, or point, direction and size; got {value!r}")
+    direction = _numbers(value["direction"], "crack: direction", 2) if "direction" in value else None
+    if direction is not None and not np.any(direction):
+        raise RegionsError("crack: direction must not be [0, 0]")
+    if {"left", "right"} <= set(value):
+        boxes = [_numbers(value[side], f"crack: {side}", 4) for side in ("left", "right")]
+        return CrackZones.from_rectangles(boxes[0], boxes[1], direction)
+    if {"point", "direction", "size"} <= set(value):
+        across, along = _numbers(value["size"], "crack: size", 2)
+        gap = float(_numbers([value.get("gap", 0)], "crack: gap", 1)[0])
+        if across <= 0 or along <= 0 or gap < 0:
+            raise RegionsError(
+                f"crack: size {across:g} x {along:g} px must be above 0, gap {gap:g} px not below 0"
+            )
+        return CrackZones.from_point(
+            _numbers(value["point"], "crack: point", 2), direction, across, along, gap
+        )
+    raise RegionsError("crack: give either left and right, or point, direction and size (see docs/files.md)")
+
+
+def _numbers(value: Any, name: str, count: int) -> Array:
+    try:
+        numbers = np.array(value, float)
+    except (TypeError, ValueError) as error:
+        raise RegionsError(f"{name}: expected {count} numbers, got {value!r}") from error
+    if numbers.shape != (count,) or not np.all(np.isfinite(numbers)):
+        raise RegionsError(f"{name}: expected {count} numbers, got {value!r}")
+    return numbers
+
+
+def _oriented(direction: Array) -> Array:
+    """Unit vector along the crack such that the normal (its turn by -90 degrees) points to positive x, or, for a crack
+    along x, to positive y: 'left' is then the side that a reader calls left (or upper)."""
+    unit = np.asarray(direction, float) / np.linalg.norm(direction)
+    normal = np.array([unit[1], -unit[0]])
+    flip = normal[0] < -1e-12 or (abs(normal[0]) <= 1e-12 and normal[1] < 0)
+    return -unit if flip else unit

@@ -1,0 +1,157 @@
+"""The settings of every stage. YAML groups, ROS parameters and docs/parameters.md come from these fields."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import yaml
+from rgbd_dic_acquisition.errors import SettingsError
+from rgbd_dic_acquisition.settings import Settings, setting
+
+from .correlation import CorrelationSettings
+
+
+@dataclass(frozen=True)
+class SearchSettings(Settings):
+    """The initial guess of each frame."""
+
+    probes: int = setting(
+        48, unit="subsets", low=8, high=1000, doc="Subsets that test a guess before all are run."
+    )
+    min_found: float = setting(
+        0.5, low=0.1, high=1.0, doc="Share of the probes that must be found for a guess to be taken."
+    )
+    max_residual_px: float = setting(
+        1.0,
+        unit="px",
+        low=0.1,
+        high=10.0,
+        doc="Distance within which a probe agrees with the common homography.",
+    )
+    features: int = setting(
+        2000, unit="features", low=100, high=20000, doc="Features matched when the prediction fails."
+    )
+
+
+@dataclass(frozen=True)
+class PairingSettings(Settings):
+    """Which ToF frame belongs to an image (thesis 4.3.1)."""
+
+    max_offset_s: float = setting(
+        0.03, unit="s", low=0.0, high=1.0, doc="Largest time between an image and its ToF frame."
+    )
+    settle_s: float = setting(
+        0.1,
+        unit="s",
+        low=0.0,
+        high=2.0,
+        doc="How much later an image must be before a missing ToF frame is given up.",
+    )
+
+
+@dataclass(frozen=True)
+class PlaneSettings(Settings):
+    """The plane through the ToF points of the panel."""
+
+    min_points: int = setting(50, unit="points", low=3, high=100000, doc="Fewest ToF points on the panel.")
+    min_inliers: float = setting(
+        0.5, low=0.05, high=1.0, doc="Smallest share of them that must lie on the plane."
+    )
+    min_distance_m: float = setting(0.1, unit="m", low=0.0, high=100.0, doc="Nearer ToF points are dropped.")
+    max_distance_m: float = setting(
+        10.0, unit="m", low=0.0, high=1000.0, doc="Farther ToF points are dropped."
+    )
+    max_residual_m: float = setting(
+        0.03, unit="m", low=0.0005, high=1.0, doc="Largest residual RMS of a plane that is believed."
+    )
+
+
+@dataclass(frozen=True)
+class CompensationSettings(Settings):
+    """The removal of the camera's motion."""
+
+    method: str = setting(
+        "h_pose", choices=("h_pose", "h_3d", "h_2d", "pc_3d"), doc="How the motion is estimated and removed."
+    )
+    min_subsets: int = setting(
+        12, unit="subsets", low=4, high=100000, doc="Fewest valid subsets in the fixed region."
+    )
+    inlier_px: float = setting(
+        1.0,
+        unit="px",
+        low=0.01,
+        high=50.0,
+        doc="MSAC: largest residual of a subset that moves with the fixed region.",
+    )
+    max_trials: int = setting(500, unit="samples", low=10, high=100000, doc="MSAC: most samples drawn.")
+    robust_sigmas: float = setting(
+        3.0, low=1.0, high=10.0, doc="h_pose: residuals beyond this many standard deviations lose weight."
+    )
+    carry_offset_s: float = setting(
+        0.01,
+        unit="s",
+        low=0.0,
+        high=0.1,
+        doc="A ToF plane enters the averaged reference plane through an image at most this far in time.",
+    )
+    max_waiting: int = setting(
+        64,
+        unit="frames",
+        low=1,
+        high=10000,
+        doc="Frames that wait for their ToF plane before one is given up.",
+    )
+
+
+@dataclass(frozen=True)
+class CrackSettings(Settings):
+    """The opening between the zones on the two sides of the crack."""
+
+    min_subsets: int = setting(3, unit="subsets", low=1, high=100000, doc="Fewest valid subsets on a side.")
+
+
+@dataclass(frozen=True)
+class ProcessingSettings:
+    """All stages together, as in the file that `--settings` names."""
+
+    correlation: CorrelationSettings = field(default_factory=CorrelationSettings)
+    search: SearchSettings = field(default_factory=SearchSettings)
+    pairing: PairingSettings = field(default_factory=PairingSettings)
+    plane: PlaneSettings = field(default_factory=PlaneSettings)
+    compensation: CompensationSettings = field(default_factory=CompensationSettings)
+    crack: CrackSettings = field(default_factory=CrackSettings)
+
+    @classmethod
+    def from_mapping(cls, content: Mapping[str, Any], where: str = "settings") -> ProcessingSettings:
+        stages = {stage.name: stage.default_factory for stage in fields(cls)}
+        unknown = sorted(set(content) - set(stages))
+        if unknown:
+            raise SettingsError(f"{where}: unknown group {', '.join(unknown)}; known are {', '.join(stages)}")
+        made = {
+            name: stages[name].from_mapping(group or {}, f"{where}: {name}")
+            for name, group in content.items()
+        }
+        return cls(**made)
+
+    def as_dict(self) -> dict[str, dict[str, Any]]:
+        return {stage.name: getattr(self, stage.name).as_dict() for stage in fields(self)}
+
+
+def load_settings(path: Path | str | None) -> ProcessingSettings:
+    """Read a settings file, grouped by stage; None gives the defaults.
+
+    Raises:
+        SettingsError: naming the file, the group and the value.
+    """
+    if path is None:
+        return ProcessingSettings()
+    try:
+        content = yaml.safe_load(Path(path).read_text()) or {}
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise SettingsError(f"cannot read settings {path}: {error}") from error
+    if not isinstance(content, dict):
+        raise SettingsError(f"{path}: expected groups of settings, got {content!r}")
+    return ProcessingSettings.from_mapping(content, str(path))

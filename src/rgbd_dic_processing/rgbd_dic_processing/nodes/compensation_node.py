@@ -1,0 +1,69 @@
+"""compensation_node: removes the camera's motion with one method."""
+
+from __future__ import annotations
+
+from rclpy.node import Node
+from rgbd_dic_acquisition.calibration import Camera
+from rgbd_dic_acquisition.nodes.diagnostics import Diagnostics
+from rgbd_dic_acquisition.nodes.parameters import declare, declare_path
+from rgbd_dic_acquisition.nodes.ros_messages import latched_qos, make
+from rgbd_dic_acquisition.nodes.spinning import run
+from rgbd_dic_msgs.msg import DisplacementField as DisplacementFieldMessage
+from rgbd_dic_msgs.msg import FramePair, PlaneStamped, Reference, SubsetField
+
+from ..core.displacement import DisplacementField, DisplacementMeasurement
+from ..core.regions import load_regions
+from ..core.settings import CompensationSettings
+from ..core.status import FrameStatus
+from .inputs import STREAM_DEPTH, CameraInput, IdleFlush
+from .messages import (
+    displacement_field_message,
+    frame_pair_from_message,
+    plane_from_message,
+    reference_from_message,
+    subset_field_from_message,
+)
+
+
+class CompensationNode(Node):
+    def __init__(self) -> None:
+        super().__init__("compensation_node")
+        self._regions = load_regions(declare_path(self, "regions_file", "regions.yaml: the fixed region"))
+        self._settings = declare(self, CompensationSettings, "compensation")
+        self._diagnostics = Diagnostics(self)
+        self._output = self._diagnostics.watch(
+            self.create_publisher(DisplacementFieldMessage, "displacement_field", STREAM_DEPTH)
+        )
+        self._step: DisplacementMeasurement | None = None
+        self._camera = CameraInput(self, self._diagnostics, self._start)
+        self._idle = IdleFlush(self, lambda: self._publish(self._step.flush()))
+
+    def _start(self, camera: Camera) -> None:
+        step = self._step = DisplacementMeasurement(camera, self._regions, self._settings)
+        for message_type, topic, convert, add, qos in (
+            (Reference, "reference", reference_from_message, step.set_reference, latched_qos()),
+            (SubsetField, "subset_field", subset_field_from_message, step.add_field, STREAM_DEPTH),
+            (PlaneStamped, "plane", plane_from_message, step.add_plane, STREAM_DEPTH),
+            (FramePair, "frame_pair", frame_pair_from_message, step.add_pair, STREAM_DEPTH),
+        ):
+            self.create_subscription(
+                message_type, topic, lambda message, c=convert, a=add: self._take(a(c(message))), qos
+            )
+
+    def _take(self, fields: list[DisplacementField]) -> None:
+        self._idle.touch()
+        self._publish(fields)
+
+    def _publish(self, fields: list[DisplacementField]) -> None:
+        for field in fields:
+            self._diagnostics.count("frames")
+            if field.status == FrameStatus.OK:
+                self._diagnostics.ok()
+            else:
+                self._diagnostics.count("invalid")
+                self._diagnostics.warn(field.reason)
+            self._output.publish(displacement_field_message(make, field))
+
+
+def main() -> int:
+    return run(CompensationNode)

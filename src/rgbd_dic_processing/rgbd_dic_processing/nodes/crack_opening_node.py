@@ -1,0 +1,57 @@
+"""crack_opening_node: the opening of the crack from each displacement field."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+from rclpy.node import Node
+from rgbd_dic_acquisition.calibration import Camera
+from rgbd_dic_acquisition.errors import RegionsError
+from rgbd_dic_acquisition.nodes.diagnostics import Diagnostics
+from rgbd_dic_acquisition.nodes.parameters import declare, declare_path
+from rgbd_dic_acquisition.nodes.ros_messages import make
+from rgbd_dic_acquisition.nodes.spinning import run
+from rgbd_dic_msgs.msg import CrackOpening, DisplacementField
+
+from ..core.crack import CrackMeasurement
+from ..core.regions import load_regions
+from ..core.settings import CrackSettings
+from .inputs import STREAM_DEPTH, CameraInput
+from .messages import crack_opening_message, displacement_field_from_message
+
+
+class CrackOpeningNode(Node):
+    def __init__(self) -> None:
+        super().__init__("crack_opening_node")
+        path = declare_path(self, "regions_file", "regions.yaml: the zones on the two sides of the crack")
+        regions = load_regions(path)
+        if regions.crack is None:
+            raise RegionsError(f"{path}: has no entry 'crack': draw the measuring zones (see docs/files.md)")
+        self._zones = regions.crack
+        self._settings = declare(self, CrackSettings, "crack")
+        self._diagnostics = Diagnostics(self)
+        self._output = self._diagnostics.watch(
+            self.create_publisher(CrackOpening, "crack_opening", STREAM_DEPTH)
+        )
+        self._camera = CameraInput(self, self._diagnostics, self._start)
+
+    def _start(self, camera: Camera) -> None:
+        self._crack = CrackMeasurement(camera, self._zones, self._settings)
+        self.create_subscription(DisplacementField, "displacement_field", self._measure, STREAM_DEPTH)
+
+    def _measure(self, message: DisplacementField) -> None:
+        field = displacement_field_from_message(message)
+        opening = self._crack.measure(field)
+        self._diagnostics.count("frames")
+        if opening.valid:
+            self._diagnostics.ok()
+        else:
+            self._diagnostics.count("invalid")
+            self._diagnostics.warn(opening.reason)
+        latency_s = (time.time_ns() - field.image_received_ns) * 1e-9
+        self._output.publish(crack_opening_message(make, replace(opening, latency_s=latency_s)))
+
+
+def main() -> int:
+    return run(CrackOpeningNode)

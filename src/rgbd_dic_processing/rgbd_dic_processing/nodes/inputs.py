@@ -1,0 +1,76 @@
+"""What several nodes take in the same way: the camera's calibration, and the end of a stream."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rgbd_dic_acquisition.calibration import Calibration, Camera, load_calibration
+from rgbd_dic_acquisition.errors import CalibrationError
+from rgbd_dic_acquisition.nodes.diagnostics import Diagnostics
+from rgbd_dic_acquisition.nodes.parameters import declare_path
+from sensor_msgs.msg import CameraInfo
+
+STREAM_DEPTH = 100  # messages that a slow node may lag behind a reliable stream
+
+
+class CameraInput:
+    """The camera's intrinsics: from `calibration_file`, or, without one, from `camera/camera_info`.
+
+    The file wins; a CameraInfo that differs from it is warned about. `on_camera` is called once.
+    """
+
+    def __init__(self, node: Node, diagnostics: Diagnostics, on_camera: Callable[[Camera], None]):
+        self._diagnostics, self._on_camera = diagnostics, on_camera
+        path = declare_path(
+            node, "calibration_file", "calibration.yaml; camera_info is used if empty", required=False
+        )
+        self.calibration: Calibration | None = load_calibration(path) if path else None
+        self.camera: Camera | None = None
+        self._subscription = node.create_subscription(
+            CameraInfo, "camera/camera_info", self._camera_info, STREAM_DEPTH
+        )
+        self._checked = False
+        if self.calibration is not None:
+            self._take(self.calibration.camera)
+
+    def _camera_info(self, info: CameraInfo) -> None:
+        if self._checked:
+            return
+        try:
+            seen = Camera.from_camera_info(info)
+        except CalibrationError as error:
+            if self.camera is None:
+                self._diagnostics.warn(str(error))
+            return
+        self._checked = True
+        if self.camera is None:
+            self._take(seen)
+        elif not np.allclose(seen.matrix, self.camera.matrix, atol=1e-6):
+            self._diagnostics.warn("camera/camera_info differs from calibration_file; the file is used")
+
+    def _take(self, camera: Camera) -> None:
+        self.camera = camera
+        self._on_camera(camera)
+
+
+class IdleFlush:
+    """Calls `flush` once when nothing has come for a while: at the end of a bag, or when a sensor has stopped."""
+
+    IDLE_S = 2.0
+
+    def __init__(self, node: Node, flush: Callable[[], None]):
+        self._flush, self._last, self._pending = flush, 0.0, False
+        self._timer = node.create_timer(0.25, self._check, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def touch(self) -> None:
+        """Something came."""
+        self._last, self._pending = time.monotonic(), True
+
+    def _check(self) -> None:
+        if self._pending and time.monotonic() - self._last > self.IDLE_S:
+            self._pending = False
+            self._flush()

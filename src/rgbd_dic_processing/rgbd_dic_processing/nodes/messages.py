@@ -1,0 +1,235 @@
+"""Messages of rgbd_dic_msgs <-> what the core computes: the only place that knows both.
+
+Reading works on any object with the fields of the message, so it serves bags too; creating takes the factory
+`make(typename, **fields)` of the node or of the bag.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rgbd_dic_acquisition.messages import (
+    MessageFactory,
+    header_message,
+    image_from_message,
+    image_message,
+    stamp_message,
+    stamp_to_ns,
+)
+
+from ..core.crack import CrackOpening
+from ..core.displacement import DisplacementField
+from ..core.geometry import Plane
+from ..core.pairing import FramePair
+from ..core.plane import PlaneEstimate
+from ..core.search import SeedSource
+from ..core.status import FrameStatus
+from ..core.tracking import Reference, SubsetField
+
+PANEL_FRAME = "panel"
+METHOD_CODES = {"h_3d": 0, "h_2d": 1, "pc_3d": 2, "h_pose": 3}  # rgbd_dic_msgs/Method
+METHOD_NAMES = {code: name for name, code in METHOD_CODES.items()}
+
+
+def frame_pair_message(make: MessageFactory, pair: FramePair, frame_id: str) -> Any:
+    return make(
+        "rgbd_dic_msgs/msg/FramePair",
+        header=header_message(make, pair.stamp_ns, frame_id),
+        status=_status(make, pair.status),
+        depth_stamp=stamp_message(make, pair.depth_stamp_ns or 0),
+        depth_offset=float(pair.depth_offset_s),
+    )
+
+
+def frame_pair_from_message(msg: Any) -> FramePair:
+    paired = msg.status.value == FrameStatus.OK
+    return FramePair(stamp_to_ns(msg.header.stamp), stamp_to_ns(msg.depth_stamp) if paired else None)
+
+
+def plane_message(make: MessageFactory, estimate: PlaneEstimate, frame_id: str) -> Any:
+    plane = estimate.plane
+    coefficients = np.full(4, np.nan) if plane is None else np.append(plane.normal, plane.d)
+    covariance = np.full(16, np.nan) if plane is None else plane.covariance.ravel()
+    return make(
+        "rgbd_dic_msgs/msg/PlaneStamped",
+        header=header_message(make, estimate.stamp_ns, frame_id),
+        status=_status(make, estimate.status),
+        reason=estimate.reason,
+        plane=make("shape_msgs/msg/Plane", coef=coefficients),
+        covariance=covariance,
+        points=int(estimate.points),
+        inliers=int(estimate.inliers),
+        residual_rms=float(estimate.residual_rms_m),
+    )
+
+
+def plane_from_message(msg: Any) -> PlaneEstimate:
+    status = FrameStatus(msg.status.value)
+    coefficients = np.array(msg.plane.coef, float)
+    plane = Plane(coefficients[:3], float(coefficients[3]), np.array(msg.covariance, float).reshape(4, 4))
+    return PlaneEstimate(
+        stamp_to_ns(msg.header.stamp),
+        status,
+        msg.reason,
+        plane if status == FrameStatus.OK else None,
+        int(msg.points),
+        int(msg.inliers),
+        float(msg.residual_rms),
+    )
+
+
+def reference_message(make: MessageFactory, reference: Reference, frame_id: str) -> Any:
+    return make(
+        "rgbd_dic_msgs/msg/Reference",
+        header=header_message(make, reference.stamp_ns, frame_id),
+        image=image_message(make, reference.stamp_ns, frame_id, reference.image, "mono8"),
+        subset_size=int(reference.subset_size),
+        step=int(reference.step),
+        x=reference.centres_px[:, 0].astype(float),
+        y=reference.centres_px[:, 1].astype(float),
+    )
+
+
+def reference_from_message(msg: Any) -> Reference:
+    return Reference(
+        stamp_to_ns(msg.header.stamp),
+        image_from_message(msg.image),
+        np.column_stack([_array(msg.x), _array(msg.y)]).astype(np.int32),
+        int(msg.subset_size),
+        int(msg.step),
+    )
+
+
+def subset_field_message(make: MessageFactory, field: SubsetField, frame_id: str) -> Any:
+    return make(
+        "rgbd_dic_msgs/msg/SubsetField",
+        header=header_message(make, field.stamp_ns, frame_id),
+        reference_stamp=stamp_message(make, field.reference_stamp_ns),
+        image_received=stamp_message(make, field.image_received_ns),
+        status=_status(make, field.status),
+        reason=field.reason,
+        seed_source=int(field.seed_source),
+        homography=field.homography.ravel(),
+        x=field.moved_px[:, 0],
+        y=field.moved_px[:, 1],
+        sigma_x=field.sigma_px[:, 0],
+        sigma_y=field.sigma_px[:, 1],
+        zncc=field.zncc,
+        iterations=field.iterations,
+        subset_status=field.subset_status,
+    )
+
+
+def subset_field_from_message(msg: Any) -> SubsetField:
+    return SubsetField(
+        stamp_to_ns(msg.header.stamp),
+        stamp_to_ns(msg.reference_stamp),
+        FrameStatus(msg.status.value),
+        msg.reason,
+        SeedSource(msg.seed_source),
+        np.array(msg.homography, float).reshape(3, 3),
+        np.column_stack([_array(msg.x), _array(msg.y)]),
+        np.column_stack([_array(msg.sigma_x, "f4"), _array(msg.sigma_y, "f4")]),
+        _array(msg.zncc, "f4"),
+        _array(msg.iterations, "u1"),
+        _array(msg.subset_status, "u1"),
+        stamp_to_ns(msg.image_received),
+    )
+
+
+def displacement_field_message(make: MessageFactory, field: DisplacementField) -> Any:
+    axes = ("x", "y", "z")
+    return make(
+        "rgbd_dic_msgs/msg/DisplacementField",
+        header=header_message(make, field.stamp_ns, PANEL_FRAME),
+        reference_stamp=stamp_message(make, field.reference_stamp_ns),
+        image_received=stamp_message(make, field.image_received_ns),
+        method=make("rgbd_dic_msgs/msg/Method", value=METHOD_CODES[field.method]),
+        status=_status(make, field.status),
+        reason=field.reason,
+        depth_offset=float(field.depth_offset_s),
+        subset_size=int(field.subset_size),
+        x_px=field.centres_px[:, 0],
+        y_px=field.centres_px[:, 1],
+        x=field.position_m[:, 0],
+        y=field.position_m[:, 1],
+        **{f"d{axis}": field.displacement_m[:, i] for i, axis in enumerate(axes)},
+        **{f"sigma_d{axis}": field.sigma_m[:, i] for i, axis in enumerate(axes)},
+        compensation_modes=field.modes.ravel(),
+        scale_uncertainty=float(field.scale_uncertainty),
+    )
+
+
+def displacement_field_from_message(msg: Any) -> DisplacementField:
+    return DisplacementField(
+        stamp_to_ns(msg.header.stamp),
+        stamp_to_ns(msg.reference_stamp),
+        METHOD_NAMES[msg.method.value],
+        FrameStatus(msg.status.value),
+        msg.reason,
+        float(msg.depth_offset),
+        int(msg.subset_size),
+        np.column_stack([_array(msg.x_px, "f4"), _array(msg.y_px, "f4")]),
+        np.column_stack([_array(msg.x), _array(msg.y)]),
+        np.column_stack([_array(msg.dx), _array(msg.dy), _array(msg.dz)]),
+        np.column_stack([_array(msg.sigma_dx, "f4"), _array(msg.sigma_dy, "f4"), _array(msg.sigma_dz, "f4")]),
+        _array(msg.compensation_modes).reshape(-1, 3, 6),
+        float(msg.scale_uncertainty),
+        stamp_to_ns(msg.image_received),
+    )
+
+
+def crack_opening_message(make: MessageFactory, opening: CrackOpening) -> Any:
+    return make(
+        "rgbd_dic_msgs/msg/CrackOpening",
+        header=header_message(make, opening.stamp_ns, PANEL_FRAME),
+        reference_stamp=stamp_message(make, opening.reference_stamp_ns),
+        method=make("rgbd_dic_msgs/msg/Method", value=METHOD_CODES[opening.method]),
+        valid=opening.valid,
+        status=_status(make, opening.status),
+        reason=opening.reason,
+        opening=opening.opening_m,
+        sliding=opening.sliding_m,
+        out_of_plane=opening.out_of_plane_m,
+        magnitude=opening.magnitude_m,
+        u_opening=opening.u_opening_m,
+        u_sliding=opening.u_sliding_m,
+        u_out_of_plane=opening.u_out_of_plane_m,
+        u_magnitude=opening.u_magnitude_m,
+        n_left=opening.n_left,
+        n_right=opening.n_right,
+        depth_offset=opening.depth_offset_s,
+        latency=opening.latency_s,
+    )
+
+
+def crack_opening_from_message(msg: Any) -> CrackOpening:
+    return CrackOpening(
+        stamp_to_ns(msg.header.stamp),
+        stamp_to_ns(msg.reference_stamp),
+        METHOD_NAMES[msg.method.value],
+        FrameStatus(msg.status.value),
+        msg.reason,
+        msg.opening,
+        msg.sliding,
+        msg.out_of_plane,
+        msg.magnitude,
+        msg.u_opening,
+        msg.u_sliding,
+        msg.u_out_of_plane,
+        msg.u_magnitude,
+        int(msg.n_left),
+        int(msg.n_right),
+        msg.depth_offset,
+        msg.latency,
+    )
+
+
+def _status(make: MessageFactory, status: FrameStatus) -> Any:
+    return make("rgbd_dic_msgs/msg/FrameStatus", value=int(status))
+
+
+def _array(values: Any, dtype: str = "f8") -> NDArray:
+    return np.frombuffer(values, dtype) if len(values) else np.zeros(0, dtype)

@@ -1,0 +1,49 @@
+"""pairing_node: tells which ToF frame belongs to each image."""
+
+from __future__ import annotations
+
+from rclpy.node import Node
+from rgbd_dic_acquisition.messages import stamp_to_ns
+from rgbd_dic_acquisition.nodes.diagnostics import Diagnostics
+from rgbd_dic_acquisition.nodes.parameters import declare
+from rgbd_dic_acquisition.nodes.ros_messages import make
+from rgbd_dic_acquisition.nodes.spinning import run
+from rgbd_dic_msgs.msg import FramePair as FramePairMessage
+from sensor_msgs.msg import CameraInfo
+
+from ..core.pairing import FramePair, FramePairing
+from ..core.settings import PairingSettings
+from .inputs import STREAM_DEPTH, IdleFlush
+from .messages import frame_pair_message
+
+
+class PairingNode(Node):
+    def __init__(self) -> None:
+        super().__init__("pairing_node")
+        self._pairing = FramePairing(declare(self, PairingSettings, "pairing"))
+        self._frame_id = ""
+        self._diagnostics = Diagnostics(self)
+        self._output = self._diagnostics.watch(
+            self.create_publisher(FramePairMessage, "frame_pair", STREAM_DEPTH)
+        )
+        self._idle = IdleFlush(self, lambda: self._publish(self._pairing.flush()))
+        self.create_subscription(CameraInfo, "camera/camera_info", self._image, STREAM_DEPTH)
+        self.create_subscription(CameraInfo, "tof/depth/camera_info", self._depth, STREAM_DEPTH)
+
+    def _image(self, info: CameraInfo) -> None:
+        self._frame_id = info.header.frame_id
+        self._idle.touch()
+        self._publish(self._pairing.add_image(stamp_to_ns(info.header.stamp)))
+
+    def _depth(self, info: CameraInfo) -> None:
+        self._idle.touch()
+        self._publish(self._pairing.add_depth(stamp_to_ns(info.header.stamp)))
+
+    def _publish(self, pairs: list[FramePair]) -> None:
+        for pair in pairs:
+            self._diagnostics.count("paired" if pair.depth_stamp_ns is not None else "without ToF frame")
+            self._output.publish(frame_pair_message(make, pair, self._frame_id))
+
+
+def main() -> int:
+    return run(PairingNode)

@@ -1,0 +1,76 @@
+"""plane_node: the panel's plane in the camera frame, from each ToF frame."""
+
+from __future__ import annotations
+
+from rclpy.node import Node
+from rgbd_dic_acquisition.calibration import load_calibration
+from rgbd_dic_acquisition.errors import ImageError
+from rgbd_dic_acquisition.messages import depth_from_message, points_from_message, stamp_to_ns
+from rgbd_dic_acquisition.nodes.diagnostics import Diagnostics
+from rgbd_dic_acquisition.nodes.parameters import declare, declare_path
+from rgbd_dic_acquisition.nodes.ros_messages import make
+from rgbd_dic_acquisition.nodes.spinning import run
+from rgbd_dic_msgs.msg import PlaneStamped
+from rgbd_dic_msgs.msg import SubsetField as SubsetFieldMessage
+from sensor_msgs.msg import Image, PointCloud2
+
+from ..core.plane import PanelPlane, PlaneEstimate
+from ..core.regions import load_regions
+from ..core.settings import PlaneSettings
+from .inputs import STREAM_DEPTH, IdleFlush
+from .messages import plane_message, subset_field_from_message
+
+
+class PlaneNode(Node):
+    def __init__(self) -> None:
+        super().__init__("plane_node")
+        calibration = load_calibration(
+            declare_path(self, "calibration_file", "calibration.yaml: intrinsics of both sensors, extrinsics")
+        )
+        regions = load_regions(declare_path(self, "regions_file", "regions.yaml: the panel"))
+        self._planes = PanelPlane(calibration, regions.panel, declare(self, PlaneSettings, "plane"))
+        self._frame_id = "camera_optical_frame"
+        self._diagnostics = Diagnostics(self)
+        self._output = self._diagnostics.watch(self.create_publisher(PlaneStamped, "plane", STREAM_DEPTH))
+        self._idle = IdleFlush(self, lambda: self._publish(self._planes.flush()))
+        use_points = self.declare_parameter("use_points", False).value
+        if use_points:
+            self.create_subscription(PointCloud2, "tof/points", self._points, STREAM_DEPTH)
+        else:
+            self.create_subscription(Image, "tof/depth/image_raw", self._depth, STREAM_DEPTH)
+        self.create_subscription(SubsetFieldMessage, "subset_field", self._subset_field, STREAM_DEPTH)
+
+    def _depth(self, message: Image) -> None:
+        self._idle.touch()
+        try:
+            depth, reason = depth_from_message(message), ""
+        except ImageError as error:
+            depth, reason = None, str(error)
+        self._publish(self._planes.add_depth(stamp_to_ns(message.header.stamp), depth, reason))
+
+    def _points(self, message: PointCloud2) -> None:
+        self._idle.touch()
+        try:
+            points, reason = points_from_message(message), ""
+        except ImageError as error:
+            points, reason = None, str(error)
+        self._publish(self._planes.add_points(stamp_to_ns(message.header.stamp), points, reason))
+
+    def _subset_field(self, message: SubsetFieldMessage) -> None:
+        self._idle.touch()
+        self._frame_id = message.header.frame_id
+        field = subset_field_from_message(message)
+        self._publish(self._planes.add_view(field.stamp_ns, field.view))
+
+    def _publish(self, estimates: list[PlaneEstimate]) -> None:
+        for estimate in estimates:
+            self._diagnostics.count("planes" if estimate.plane is not None else "invalid")
+            if estimate.plane is None:
+                self._diagnostics.warn(f"no plane: {estimate.reason}")
+            else:
+                self._diagnostics.ok()
+            self._output.publish(plane_message(make, estimate, self._frame_id))
+
+
+def main() -> int:
+    return run(PlaneNode)

@@ -1,0 +1,518 @@
+"""The correlation kernel against analytic truth and against its NumPy twin.
+
+The truth is a speckle pattern given as a formula, evaluated at the pixels of the reference and, through the
+inverse of the deformation, at the pixels of the target. It is band-limited, so that nothing but quantisation,
+noise and the kernel itself can displace a subset.
+"""
+
+import dataclasses
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+import numpy_icgn
+from rgbd_dic_acquisition.errors import ImageError, SettingsError
+from rgbd_dic_processing.core.correlation import CorrelationSettings, ReferenceSubsets, SubsetStatus
+from scipy import ndimage
+
+from rgbd_dic_processing import _kernel
+
+ROWS, COLS = 190, 250
+SIGMA_QUANTISATION = 0.289  # grey levels: standard deviation of the rounding to whole grey levels
+
+
+class Speckle:
+    """One Gaussian blob of 1.8 px and random height at a random place of every cell of 4.5 px.
+
+    Its spectrum at the Nyquist frequency is exp(-(1.8 pi)^2 / 2) = 1e-7 of that at zero.
+    """
+
+    CELL, SIGMA, REACH, ORIGIN, CELLS = 4.5, 1.8, 3, -90.0, 100
+
+    def __init__(self, seed: int) -> None:
+        random = np.random.default_rng(seed)
+        index = np.arange(self.CELLS)
+        jitter = random.uniform(0, 1, (2, self.CELLS, self.CELLS))
+        self.x = self.ORIGIN + (index[None, :] + jitter[0]) * self.CELL
+        self.y = self.ORIGIN + (index[:, None] + jitter[1]) * self.CELL
+        self.height = random.uniform(-50, 50, (self.CELLS, self.CELLS))
+
+    def __call__(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Grey values at points: the blobs of 7 x 7 cells, as the next is more than 13 px (7 sigma) off."""
+        column = np.floor((x - self.ORIGIN) / self.CELL).astype(int)
+        line = np.floor((y - self.ORIGIN) / self.CELL).astype(int)
+        value = np.full(np.shape(x), 128.0)
+        reach = range(-self.REACH, self.REACH + 1)
+        for i in reach:
+            for j in reach:
+                at = line + i, column + j
+                square = (x - self.x[at]) ** 2 + (y - self.y[at]) ** 2
+                value += self.height[at] * np.exp(-square / (2 * self.SIGMA**2))
+        assert value.min() > 0 and value.max() < 255, "clipping would not be band-limited"
+        return value
+
+
+def quantised(image: np.ndarray) -> np.ndarray:
+    return np.rint(image).astype(np.uint8)
+
+
+def pixels() -> tuple[np.ndarray, np.ndarray]:
+    x, y = np.meshgrid(np.arange(COLS, dtype=float), np.arange(ROWS, dtype=float))
+    return x, y
+
+
+def grid(step: int, margin: int = 35) -> np.ndarray:
+    x, y = np.meshgrid(np.arange(margin, COLS - margin, step), np.arange(margin, ROWS - margin, step))
+    return np.stack([x.ravel(), y.ravel()], axis=1).astype(np.int32)
+
+
+def identity_seeds(centres: np.ndarray, shift=(0.0, 0.0)) -> np.ndarray:
+    seeds = np.zeros((len(centres), 2, 6))
+    seeds[:, :, 0] = centres + np.asarray(shift)
+    seeds[:, 0, 1] = seeds[:, 1, 2] = 1
+    return seeds
+
+
+def homography_seeds(h: np.ndarray, centres: np.ndarray) -> np.ndarray:
+    """Second-order Taylor expansion of a homography at each centre."""
+    at = np.concatenate([centres, np.ones((len(centres), 1))], axis=1) @ h.T
+    m = (
+        np.stack([at[:, :2], *(np.broadcast_to(h[:2, k], at[:, :2].shape) for k in (0, 1))], axis=2)
+        / at[:, 2, None, None]
+    )
+    m0, mx, my = np.moveaxis(m, 2, 0)
+    ex, ey = (h[2, k] / at[:, 2, None] for k in (0, 1))
+    quadratic = (m0 * ex**2 - mx * ex, 2 * m0 * ex * ey - mx * ey - my * ex, m0 * ey**2 - my * ey)
+    return np.stack([m0, mx - m0 * ex, my - m0 * ey, *quadratic], axis=2)
+
+
+def mapped(h: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    xw, yw, w = np.tensordot(h, np.stack([x, y, np.ones_like(x)]), axes=1)
+    return xw / w, yw / w
+
+
+def quantisation_floor(image: np.ndarray, centres: np.ndarray, size: int, axis: int) -> float:
+    """RMS over the subsets of sigma_g sqrt(2) / sqrt(sum f_x^2): two images, rounded independently, px."""
+    square = np.gradient(image.astype(float), axis=axis) ** 2
+    half = size // 2
+    sums = [square[y - half : y + half + 1, x - half : x + half + 1].sum() for x, y in centres]
+    return float(np.sqrt(np.mean(2 * SIGMA_QUANTISATION**2 / np.array(sums))))
+
+
+@pytest.fixture(scope="module")
+def speckle() -> Speckle:
+    return Speckle(seed=1)
+
+
+@pytest.fixture(scope="module")
+def reference(speckle) -> np.ndarray:
+    return quantised(speckle(*pixels()))
+
+
+@pytest.fixture(scope="module")
+def homography() -> np.ndarray:
+    """Six degrees about the middle of the image, and perspective that changes the scale by 5 % across it."""
+    angle, middle = np.deg2rad(6), np.array([COLS / 2, ROWS / 2])
+    rotation = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    h = np.eye(3)
+    h[:2, :2] = rotation
+    h[:2, 2] = middle - rotation @ middle + [2.3, 4.6]
+    h[2, :2] = [2e-4, 1e-4]
+    return h
+
+
+@pytest.fixture(scope="module")
+def warped(speckle, homography) -> np.ndarray:
+    return quantised(speckle(*mapped(np.linalg.inv(homography), *pixels())))
+
+
+# Accuracy
+
+
+@pytest.mark.parametrize("shift", [round(0.1 * k, 1) for k in range(11)])
+def test_translation_reaches_the_quantisation_floor(speckle, reference, shift):
+    centres = grid(step=8)
+    true_shift = np.array([shift, 1 - shift])
+    x, y = pixels()
+    settings = CorrelationSettings()
+    subsets = ReferenceSubsets(reference, centres, settings)
+    found = subsets.correlate(
+        subsets.target(quantised(speckle(x - true_shift[0], y - true_shift[1]))),
+        identity_seeds(centres, (0.4, 0.6)),
+    )
+    assert found.valid.all()
+    errors = np.stack([found.x_px, found.y_px], axis=1) - centres - true_shift
+    # The image holds about 35 subsets side by side. So the mean scatters by 1/6 of the floor, and the
+    # standard deviation by 12 % of itself; both are allowed three times that.
+    for axis, error in zip((1, 0), errors.T, strict=True):
+        floor = quantisation_floor(reference, centres, settings.subset_size, axis)
+        assert abs(error.mean()) < 0.5 * floor
+        assert error.std() < 1.36 * floor
+
+
+@pytest.mark.parametrize(("degree", "limit_px"), [(3, 5e-4), (5, 3e-5)])
+@pytest.mark.parametrize("shift", [0.25, 0.75])
+def test_interpolation_bias_is_far_below_that(speckle, degree, limit_px, shift):
+    """Grey values that are not quantised show the spline's own bias, greatest a quarter of the way.
+
+    A spline of degree n errs by about (w / (2 pi - w))^(n + 1) at the frequency w. The gradient's energy of
+    blobs of 1.8 px is greatest at w = 1 / 1.8 px, where that is 9e-5 and 8e-7, and small at twice that,
+    where it is 2e-3 and 1e-4. The limits lie between and are 1.5 and 2 times what the kernel shows.
+    """
+    centres = grid(step=8)
+    x, y = pixels()
+    subsets = ReferenceSubsets(speckle(x, y), centres, CorrelationSettings(spline_degree=degree))
+    found = subsets.correlate(
+        subsets.target(speckle(x - shift, y + shift)), identity_seeds(centres, (0.5, -0.5))
+    )
+    assert abs(np.mean(found.x_px - centres[:, 0] - shift)) < limit_px
+    assert abs(np.mean(found.y_px - centres[:, 1] + shift)) < limit_px
+
+
+@pytest.mark.parametrize("seed_error", [(0.0, 0.0), (0.3, -0.3)])
+@pytest.mark.parametrize("degree", [3, 5])
+def test_perspective_leaves_no_bias_and_no_trend(reference, warped, homography, degree, seed_error):
+    centres = grid(step=8)
+    seeds = homography_seeds(homography, centres)
+    truth = seeds[:, :, 0].copy()
+    seeds[:, :, 0] += seed_error
+    settings = CorrelationSettings(spline_degree=degree)
+    subsets = ReferenceSubsets(reference, centres, settings)
+    found = subsets.correlate(subsets.target(warped), seeds)
+    assert found.valid.all()
+    errors = np.stack([found.x_px, found.y_px], axis=1) - truth
+    floor = quantisation_floor(reference, centres, settings.subset_size, axis=1)
+    design = np.column_stack(
+        [np.ones(len(centres)), (centres - centres.mean(axis=0)) / np.ptp(centres, axis=0)]
+    )
+    for error in errors.T:
+        mean, *trend = np.linalg.lstsq(design, error)[0]
+        # As above; the change from edge to edge of an unbiased field scatters sqrt(12) times as much.
+        assert abs(mean) < 0.5 * floor
+        assert np.abs(trend).max() < 0.5 * np.sqrt(12) * floor
+        assert error.std() < 1.36 * floor
+
+
+def test_without_the_quadratic_terms_perspective_biases(reference, warped, homography):
+    """The test above has something to find: 2e-4 / px times the mean of xi^2 over 31 px, which is 80 px^2."""
+    centres = grid(step=8)
+    seeds = homography_seeds(homography, centres)
+    seeds[:, :, 3:] = 0
+    subsets = ReferenceSubsets(reference, centres, CorrelationSettings())
+    found = subsets.correlate(subsets.target(warped), seeds)
+    assert abs(np.mean(found.x_px - seeds[:, 0, 0])) > 0.008
+
+
+@pytest.mark.parametrize("shift", [(0.0, 0.0), (0.3, 0.6), (0.5, 0.5)])
+def test_sigma_is_honest(speckle, shift):
+    """Errors over many noisy pairs, each divided by its own sigma, have unit standard deviation."""
+    centres, random = grid(step=31), np.random.default_rng(2)
+    x, y = pixels()
+    clean, moved = speckle(x, y), speckle(x - shift[0], y - shift[1])
+    ratios = []
+    for _ in range(12):
+        subsets = ReferenceSubsets(clean + random.normal(0, 1, clean.shape), centres, CorrelationSettings())
+        target = subsets.target(moved + random.normal(0, 1, clean.shape))
+        found = subsets.correlate(target, identity_seeds(centres))
+        assert found.valid.all()
+        ratios.append((found.x_px - centres[:, 0] - shift[0]) / found.sigma_x_px)
+        ratios.append((found.y_px - centres[:, 1] - shift[1]) / found.sigma_y_px)
+    # 24 x 24 ratios: their standard deviation is known to 3 %. The noise in the reference's gradient, which
+    # the model of sigma leaves out, adds about as much.
+    assert np.std(ratios) == pytest.approx(1, abs=0.1)
+
+
+@pytest.mark.parametrize("degree", [3, 5])
+def test_brightness_and_contrast_do_not_matter(speckle, reference, degree):
+    centres = grid(step=20)
+    x, y = pixels()
+    image = speckle(x - 0.3, y - 0.6)
+    subsets = ReferenceSubsets(reference, centres, CorrelationSettings(spline_degree=degree))
+    found, changed = (
+        subsets.correlate(subsets.target(target), identity_seeds(centres))
+        for target in (image, 0.6 * image + 40)
+    )
+    assert changed.valid.all()
+    # Both stop within tolerance_px = 1e-4, where Gauss-Newton contracts a hundredfold a step.
+    np.testing.assert_allclose(changed.x_px, found.x_px, atol=2e-6)
+    np.testing.assert_allclose(changed.y_px, found.y_px, atol=2e-6)
+    np.testing.assert_allclose(
+        changed.zncc, found.zncc, atol=1e-6
+    )  # float32, eight digits of a number near 1
+
+
+# Agreement with independent computations
+
+
+@pytest.mark.parametrize(("degree", "subset_size"), [(3, 21), (5, 31), (5, 32 + 9)])
+def test_parity_with_the_numpy_twin(reference, warped, homography, degree, subset_size):
+    centres = grid(step=50, margin=numpy_icgn.BORDER_PX + 21)
+    seeds = homography_seeds(homography, centres)
+    seeds[:, :, 0] += (0.4, -0.3)
+    settings = CorrelationSettings(subset_size=subset_size, spline_degree=degree)
+    subsets = ReferenceSubsets(reference, centres, settings)
+    found = subsets.correlate(subsets.target(warped), seeds)
+    twins = [
+        numpy_icgn.correlate(reference, warped, tuple(c), s, subset_size=subset_size, degree=degree)
+        for c, s in zip(centres, seeds, strict=True)
+    ]
+    column = {
+        field.name: [getattr(twin, field.name) for twin in twins] for field in dataclasses.fields(twins[0])
+    }
+    np.testing.assert_array_equal(found.iterations, column["iterations"])
+    # Positions within a subset are float32 numbers up to 20 px, each rounded by up to 1e-6 px; over the
+    # hundreds of pixels of a subset most of that averages out.
+    np.testing.assert_allclose(found.x_px, column["x_px"], rtol=0, atol=5e-7)
+    np.testing.assert_allclose(found.y_px, column["y_px"], rtol=0, atol=5e-7)
+    np.testing.assert_allclose(found.sigma_x_px, column["sigma_x_px"], rtol=1e-4)
+    np.testing.assert_allclose(found.sigma_y_px, column["sigma_y_px"], rtol=1e-4)
+    np.testing.assert_allclose(found.zncc, column["zncc"], rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("degree", [3, 5])
+def test_samples_are_those_of_scipy_up_to_the_last_pixel(reference, degree):
+    random = np.random.default_rng(3)
+    points = random.uniform(0, 1, (2000, 2)) * [COLS - 1, ROWS - 1]
+    points[:4] = [[0, 0], [COLS - 1, 0], [0, ROWS - 1], [COLS - 1, ROWS - 1]]
+    values = _kernel.Target(reference, degree).sample(points)
+    expected = ndimage.map_coordinates(reference.astype(float), points.T[::-1], order=degree, mode="mirror")
+    # float32 coefficients of up to about 300 grey levels are rounded by 1.5e-5, a few times over.
+    np.testing.assert_allclose(values, expected, atol=2e-4)
+    outside = np.array([[-0.01, 5], [5, ROWS - 0.99], [np.nan, 5]])
+    assert np.isnan(_kernel.Target(reference, degree).sample(outside)).all()
+
+
+def test_threads_do_not_change_a_bit(reference, warped, homography):
+    centres = grid(step=3, margin=20)
+    seeds = homography_seeds(homography, centres)
+    results = []
+    for threads in (1, 2, 7):
+        subsets = ReferenceSubsets(reference, centres, CorrelationSettings(threads=threads))
+        results.append(subsets.correlate(subsets.target(warped), seeds))
+    assert results[0].valid.any() and not results[0].valid.all()
+    for other in results[1:]:
+        for field in dataclasses.fields(other):
+            one, two = getattr(results[0], field.name), getattr(other, field.name)
+            assert one.tobytes() == two.tobytes(), field.name
+
+
+def test_selected_subsets_are_the_same_as_in_the_whole(reference, warped, homography):
+    centres = grid(step=10)
+    seeds = homography_seeds(homography, centres)
+    subsets = ReferenceSubsets(reference, centres, CorrelationSettings())
+    target = subsets.target(warped)
+    whole, indices = subsets.correlate(target, seeds), np.array([40, 3, 17])
+    part = subsets.correlate(target, seeds, indices)
+    np.testing.assert_array_equal(part.x_px, whole.x_px[indices])
+    np.testing.assert_array_equal(part.status, whole.status[indices])
+
+
+@pytest.mark.parametrize("dtype", [np.uint16, np.float32, np.float64, ">u2"])
+def test_image_types_are_equivalent(reference, warped, dtype):
+    centres = grid(step=40)
+    results = []
+    for kind in (np.uint8, dtype):
+        subsets = ReferenceSubsets(reference.astype(kind), centres, CorrelationSettings())
+        results.append(
+            subsets.correlate(subsets.target(reference.astype(kind)), identity_seeds(centres, (0.2, 0)))
+        )
+    assert results[0].x_px.tobytes() == results[1].x_px.tobytes()
+
+
+# Status
+
+
+def status_of(reference, target, seeds, centres, **settings):
+    subsets = ReferenceSubsets(reference, centres, CorrelationSettings(**settings))
+    found = subsets.correlate(subsets.target(target), seeds)
+    invalid = found.status != SubsetStatus.CONVERGED
+    for column in (found.x_px, found.y_px, found.sigma_x_px, found.sigma_y_px):
+        np.testing.assert_array_equal(np.isnan(column), invalid)
+    return found
+
+
+def test_status_numbers_are_those_of_the_message():
+    text = (Path(__file__).parents[2] / "rgbd_dic_msgs/msg/SubsetStatus.msg").read_text()
+    constants = {name: int(value) for name, value in re.findall(r"^uint8 (\w+)=(\d+)", text, re.MULTILINE)}
+    assert constants == {status.name: status.value for status in SubsetStatus}
+
+
+def test_outside_image(reference):
+    centres = np.array([[15, 15], [COLS - 16, ROWS - 16], [100, 100]])  # the first two touch the border
+    seeds = identity_seeds(centres)
+    assert status_of(reference, reference, seeds, centres).status.tolist() == [0, 0, 0]
+    for beyond in [(-0.01, 0), (0, -0.01)]:
+        found = status_of(reference, reference, identity_seeds(centres, beyond), centres)
+        assert found.status[[0, 2]].tolist() == [SubsetStatus.OUTSIDE_IMAGE, 0]
+    for beyond in [(0.01, 0), (0, 0.01)]:
+        found = status_of(reference, reference, identity_seeds(centres, beyond), centres)
+        assert found.status[[1, 2]].tolist() == [SubsetStatus.OUTSIDE_IMAGE, 0]
+    for far in (1e9, 1e300, np.inf):
+        found = status_of(reference, reference, identity_seeds(centres, (0, far)), centres)
+        assert (found.status == SubsetStatus.OUTSIDE_IMAGE).all()
+    seeds[:, :, 1:] *= 1e37  # overflows float32 at the subset's edge
+    assert (status_of(reference, reference, seeds, centres).status == SubsetStatus.OUTSIDE_IMAGE).all()
+
+
+def test_low_texture(reference):
+    centres = np.array([[60, 60], [160, 60]])
+    image = reference.copy()
+    image[:, 120:] = 128
+    assert status_of(image, image, identity_seeds(centres), centres).status.tolist() == [
+        0,
+        SubsetStatus.LOW_TEXTURE,
+    ]
+    weak = 128 + 0.01 * (reference.astype(float) - 128)
+    assert (status_of(weak, weak, identity_seeds(centres), centres).status == SubsetStatus.LOW_TEXTURE).all()
+    assert (status_of(weak, weak, identity_seeds(centres), centres, min_contrast=0.05).status == 0).all()
+    stripes = np.broadcast_to(reference[50], reference.shape)  # plenty of contrast, but v cannot be seen
+    assert (
+        status_of(stripes, stripes, identity_seeds(centres), centres).status == SubsetStatus.LOW_TEXTURE
+    ).all()
+
+
+def test_low_correlation(reference):
+    centres = grid(step=31)
+    noisy = reference + np.random.default_rng(4).normal(0, reference.std(), reference.shape)
+    found = status_of(reference, noisy, identity_seeds(centres), centres)
+    assert (found.status == SubsetStatus.LOW_CORRELATION).all()
+    assert found.zncc.mean() == pytest.approx(np.sqrt(0.5), abs=0.05)
+    assert (status_of(reference, noisy, identity_seeds(centres), centres, min_zncc=0.1).status == 0).all()
+    uniform = np.full_like(reference, 77)
+    found = status_of(reference, uniform, identity_seeds(centres), centres)
+    assert (found.status == SubsetStatus.LOW_CORRELATION).all() and np.isnan(found.zncc).all()
+
+
+def test_unrelated_image_gives_nothing(reference):
+    centres = grid(step=10)
+    other = quantised(Speckle(seed=5)(*pixels()))
+    found = status_of(reference, other, identity_seeds(centres), centres)
+    assert not found.valid.any()
+    assert set(found.status) <= {
+        SubsetStatus.NOT_CONVERGED,
+        SubsetStatus.LOW_CORRELATION,
+        SubsetStatus.OUTSIDE_IMAGE,
+        SubsetStatus.DIVERGED,
+    }
+
+
+def test_diverged_not_converged_and_skipped(reference):
+    centres = grid(step=31)
+    seeds = identity_seeds(centres, (0.8, 0))
+    found = status_of(reference, reference, seeds, centres, max_shift_px=0.5)
+    assert (found.status == SubsetStatus.DIVERGED).all()
+    found = status_of(reference, reference, seeds, centres, max_iterations=1)
+    assert (found.status == SubsetStatus.NOT_CONVERGED).all()
+    assert (found.iterations == 1).all() and np.isfinite(found.zncc).all()
+    seeds[3, 1, 4] = np.nan
+    found = status_of(reference, reference, seeds, centres)
+    assert np.flatnonzero(found.status).tolist() == [3]
+    assert found.status[3] == SubsetStatus.SKIPPED and found.iterations[3] == 0 and np.isnan(found.zncc[3])
+
+
+# Errors
+
+
+def test_subset_that_leaves_the_reference_is_named(reference):
+    centres = [[100, 100], [100, 14], [0, 0]]
+    with pytest.raises(ImageError, match=rf"centre 1 at \(100, 14\).*31 px.*{COLS} x {ROWS} px"):
+        ReferenceSubsets(reference, centres, CorrelationSettings())
+
+
+@pytest.mark.parametrize(
+    ("image", "centres", "message"),
+    [
+        (np.zeros((50, 50, 3), np.uint8), [[25, 25]], "grey image"),
+        (np.zeros((50, 50), complex), [[25, 25]], "complex128"),
+        (np.where(np.eye(50), np.nan, 1), [[25, 25]], r"pixel \(0, 0\) is not a finite"),
+        (np.zeros((50, 5), np.uint8), [[25, 2]], "at least 8"),
+        (np.zeros((50, 50), np.uint8), [25, 25], r"\(N, 2\)"),
+        (np.zeros((50, 50), np.uint8), [[25, 25.5]], "whole pixels"),
+        (np.zeros((50, 50), np.uint8), [[25, np.nan]], "whole pixels"),
+        (np.zeros((50, 50), np.uint8), [[25, 2**31]], "leaves the reference image"),
+    ],
+)
+def test_bad_reference_is_refused(image, centres, message):
+    with pytest.raises(ImageError, match=message):
+        ReferenceSubsets(image, centres, CorrelationSettings())
+
+
+def test_bad_seeds_and_indices_are_refused(reference):
+    centres = grid(step=31)
+    subsets = ReferenceSubsets(reference, centres, CorrelationSettings())
+    target, seeds = subsets.target(reference), identity_seeds(centres)
+    for bad_seeds, indices, message in [
+        (seeds[:-1], [0], r"seeds: expected shape"),
+        (seeds[:, 0], None, r"seeds: expected shape"),
+        (seeds, [len(centres)], r"indices: .* not one of"),
+        (seeds, [-1], r"indices: -1"),
+        (seeds, [0.5], r"indices: expected integers"),
+    ]:
+        with pytest.raises(ImageError, match=message):
+            subsets.correlate(target, bad_seeds, indices)
+
+
+def test_kernel_checks_what_it_is_given(reference):
+    centres = grid(step=31)
+    kernel_reference, target = _kernel.Reference(reference, centres, 31, 5), _kernel.Target(reference, 5)
+    seeds = identity_seeds(centres)
+    for call, error, message in [
+        (lambda: _kernel.Target(reference.astype(float), 5), TypeError, "image: expected uint8 or float32"),
+        (lambda: _kernel.Target(reference[:, ::2], 5), ValueError, "contiguous"),
+        (lambda: _kernel.Target(reference, 4), ValueError, "degree = 4"),
+        (
+            lambda: _kernel.Reference(reference, centres.astype(int), 31, 5),
+            TypeError,
+            "centres: expected int32",
+        ),
+        (
+            lambda: _kernel.Reference(reference, centres, 30, 5),
+            ValueError,
+            "subset_size = 30 px: must be odd",
+        ),
+        (lambda: target.sample(np.zeros((3, 3))), ValueError, r"points: expected float64 of shape \(M, 2\)"),
+        (
+            lambda: _kernel.correlate(kernel_reference, target, seeds[1:]),
+            ValueError,
+            r"seeds: .*float64 of shape \(\d+",
+        ),
+        (
+            lambda: _kernel.correlate(kernel_reference, target, seeds[..., ::-1]),
+            ValueError,
+            "seeds: must be C-cont",
+        ),
+        (
+            lambda: _kernel.correlate(kernel_reference, target, seeds, np.zeros(1)),
+            TypeError,
+            "indices: expected int32",
+        ),
+        (
+            lambda: _kernel.correlate(kernel_reference, target, seeds, np.array([99], np.int32)),
+            IndexError,
+            r"indices\[0\] = 99",
+        ),
+        (
+            lambda: _kernel.correlate(kernel_reference, _kernel.Target(reference, 3), seeds),
+            ValueError,
+            "degree 5, the target with 3",
+        ),
+        (
+            lambda: _kernel.correlate(kernel_reference, target, seeds, max_iterations=256),
+            ValueError,
+            "max_iterations = 256",
+        ),
+    ]:
+        with pytest.raises(error, match=message):
+            call()
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"subset_size": 30}, {"subset_size": 5}, {"spline_degree": 4}, {"tolerance_px": 0.0}]
+)
+def test_settings_out_of_range_are_refused(wrong):
+    with pytest.raises(SettingsError, match=next(iter(wrong))):
+        CorrelationSettings(**wrong)
