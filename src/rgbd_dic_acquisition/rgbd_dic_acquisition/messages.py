@@ -164,6 +164,29 @@ def depth_message(make: MessageFactory, stamp_ns: int, frame_id: str, depth_m: N
     return image_message(make, stamp_ns, frame_id, np.where(valid, depth_mm, 0).astype(np.uint16), "16UC1")
 
 
+def points_message(make: MessageFactory, stamp_ns: int, frame_id: str, points_m: NDArray[Any]) -> Any:
+    """A PointCloud2 (x, y, z as float32) of points (N, 3) [m]; NaN stays NaN."""
+    points = np.ascontiguousarray(points_m, "<f4")
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise ImageError(f"array of shape {points.shape} cannot be sent as points; it must be (N, 3)")
+    fields = [
+        make("sensor_msgs/msg/PointField", name=name, offset=4 * i, datatype=7, count=1)
+        for i, name in enumerate("xyz")
+    ]
+    return make(
+        POINT_CLOUD,
+        header=header_message(make, stamp_ns, frame_id),
+        height=1,
+        width=len(points),
+        fields=fields,
+        is_bigendian=False,
+        point_step=12,
+        row_step=12 * len(points),
+        data=points.tobytes(),
+        is_dense=bool(np.isfinite(points).all()),
+    )
+
+
 def camera_info_message(make: MessageFactory, stamp_ns: int, frame_id: str, camera: Camera) -> Any:
     """The CameraInfo of a camera: plumb_bob with k1 and k2, the other terms 0."""
     K = camera.matrix

@@ -5,10 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
 from rgbd_dic_acquisition.bag import BagReader
 from rgbd_dic_acquisition.calibration import Calibration, Camera, load_calibration
 from rgbd_dic_acquisition.errors import BagError, CalibrationError, ImageError
 from rgbd_dic_acquisition.messages import depth_from_message, image_from_message, stamp_to_ns
+
+from scipy.spatial.transform import Rotation
 
 from .core.pipeline import Measurement, Pipeline
 
@@ -35,14 +39,30 @@ def calibration_of(bag: BagReader, path: Path | None) -> Calibration:
     """
     if path is not None:
         return load_calibration(path)
-    cameras = [
-        Camera.from_camera_info(next(bag.messages([bag.require(topic, CAMERA_INFO)]))[2]) for topic in INFO_TOPICS
-    ]
-    if "/tf_static" not in bag.topics:
-        raise CalibrationError(
-            f"{bag.path} has no /tf_static with the extrinsics: give a calibration.yaml with --calibration"
-        )
-    raise CalibrationError(f"{bag.path}: give the calibration with --calibration ({len(cameras)} cameras found)")
+    cameras, frames = [], []
+    for topic, kind in INFO_TOPICS.items():
+        name = bag.require(topic, kind)
+        info = next((message for _, _, message in bag.messages([name])), None)
+        if info is None:
+            raise BagError(f"{bag.path}: topic {name} is empty: give a calibration.yaml with --calibration")
+        cameras.append(Camera.from_camera_info(info))
+        frames.append(info.header.frame_id)
+    R, t = _extrinsics(bag, *frames)
+    return Calibration(cameras[0], cameras[1], R, t)
+
+
+def _extrinsics(bag: BagReader, camera_frame: str, tof_frame: str) -> tuple[NDArray, NDArray]:
+    """R, t of X_camera = R X_tof + t [m] from the bag's /tf_static."""
+    messages = bag.messages(["/tf_static"]) if "/tf_static" in bag.topics else ()
+    for _, _, message in messages:
+        for stamped in message.transforms:
+            if (stamped.header.frame_id, stamped.child_frame_id) == (camera_frame, tof_frame):
+                q, t = stamped.transform.rotation, stamped.transform.translation
+                return Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix(), np.array([t.x, t.y, t.z])
+    raise CalibrationError(
+        f"{bag.path} has no transform {camera_frame} -> {tof_frame} on /tf_static: give a calibration.yaml with "
+        "--calibration"
+    )
 
 
 def measure_bag(bag: BagReader, pipeline: Pipeline) -> Iterator[list[Measurement]]:

@@ -70,8 +70,8 @@ def _started_with(node: Node, name: str, default: Any) -> Any:
     node.undeclare_parameter(name)
     if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
         return float(value)
-    if isinstance(default, tuple) and isinstance(value, list):
-        return tuple(value)
+    if isinstance(default, tuple) and (value is None or isinstance(value, list)):
+        return tuple(value or ())  # an empty list arrives as no value
     return value
 
 

@@ -28,10 +28,10 @@ from .uncertainty import overlap_correlation, quadratic_terms
 Array = NDArray[np.float64]
 
 SOLVERS = {
+    "h_pose": h_pose.compensate,
     "h_3d": h_3d.compensate,
     "h_2d": h_2d.compensate,
     "pc_3d": pc_3d.compensate,
-    "h_pose": h_pose.compensate,
 }
 NEEDS_PLANE_OF_FRAME = ("h_3d", "pc_3d")
 

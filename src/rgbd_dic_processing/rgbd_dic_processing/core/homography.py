@@ -37,7 +37,7 @@ def fit_homography(source: Array, target: Array, refinements: int = 3) -> Array 
         residual = (u - moved).ravel()
         if not np.all(np.isfinite(residual)):
             return None
-        step = np.linalg.lstsq(jacobian.T, residual, rcond=None)[0]
+        step = np.linalg.solve(jacobian @ jacobian.T, jacobian @ residual)
         H = (np.eye(3) + np.append(step, 0).reshape(3, 3)) @ H
     H = np.linalg.inv(to_target) @ H @ to_source
     return H / H[2, 2] if np.all(np.isfinite(H)) and H[2, 2] != 0 else None

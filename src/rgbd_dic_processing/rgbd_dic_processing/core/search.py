@@ -8,7 +8,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from rgbd_dic_acquisition.calibration import Camera
-from scipy.linalg import expm, logm
 
 from .correlation import ReferenceSubsets, SubsetStatus
 from .geometry import SeedMaps, apply_homography
@@ -82,19 +81,14 @@ class HomographySearch:
         return homography / homography[2, 2] if enough else None
 
     def _predictions(self, stamp_ns: int) -> list[Array]:
-        """Constant velocity of the homography, scaled by the time that passed; then the last frame's own."""
+        """The last homography plus its recent change, scaled by the time that passed; then the last one alone."""
         if not self._history:
             return [np.eye(3)]
         last_ns, last = self._history[-1]
-        if len(self._history) < 2:
-            return [last]
-        before_ns, before = self._history[-2]
+        before_ns, before = self._history[0]
         if not before_ns < last_ns < stamp_ns:
             return [last]
-        ratio = (stamp_ns - last_ns) / (last_ns - before_ns)
-        step = last @ np.linalg.inv(before)
-        moved = expm(ratio * np.real(logm(step / np.cbrt(np.linalg.det(step))))) @ last
-        return [moved / moved[2, 2], last]
+        return [last + (last - before) * (stamp_ns - last_ns) / (last_ns - before_ns), last]
 
     def _confirm(self, target: object, guess: Array) -> Array | None:
         moved = self._subsets.correlate(target, self._maps.seeds(guess), self._probes)
@@ -126,7 +120,7 @@ class HomographySearch:
 def _spread(centres_px: Array, count: int) -> NDArray[np.int32]:
     """Indices of about `count` subsets spread evenly over the grid."""
     low, extent = centres_px.min(axis=0), np.maximum(np.ptp(centres_px, axis=0), 1)
-    columns = max(int(round(np.sqrt(count * extent[0] / extent[1]))), 1)
+    columns = max(round(float(np.sqrt(count * extent[0] / extent[1]))), 1)
     cells = np.array([columns, max(round(count / columns), 1)])
     cell = np.minimum(((centres_px - low) / extent * cells).astype(int), cells - 1)
     middle = np.sum(np.square((centres_px - low) / extent * cells - cell - 0.5), axis=1)

@@ -1,0 +1,91 @@
+"""What several sub-commands ask for and print in the same way."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+from rgbd_dic_acquisition.errors import RgbdDicError
+
+from ..core.crack import CrackOpening
+from ..core.displacement import SOLVERS
+from ..core.settings import ProcessingSettings, load_settings
+from ..results import Truth, compare
+
+NOTHING_VALID = 3
+
+
+def add_measurement(parser: argparse.ArgumentParser) -> None:
+    """Options of the sub-commands that measure a bag."""
+    parser.add_argument(
+        "--regions", type=Path, help="regions.yaml (default: the one inside the bag's directory)"
+    )
+    parser.add_argument(
+        "--calibration", type=Path, help="calibration.yaml (default: the one inside the bag's directory)"
+    )
+    parser.add_argument(
+        "--method",
+        help=f"compensation method, or several with commas: {', '.join(SOLVERS)}; or all (default: that of the "
+        "settings, h_pose)",
+    )
+    parser.add_argument("--settings", type=Path, help="settings.yaml, grouped by stage (docs/parameters.md)")
+    parser.add_argument("--out", type=Path, required=True, help="folder for the results; made if missing")
+    parser.add_argument(
+        "--truth", type=Path, help="CSV with stamp_ns [ns] and opening_mm [mm] to compare with"
+    )
+
+
+def measurement_settings(options: argparse.Namespace) -> tuple[ProcessingSettings, tuple[str, ...]]:
+    """The settings, and the methods asked for."""
+    settings = load_settings(options.settings)
+    if options.method is None:
+        return settings, (settings.compensation.method,)
+    names = tuple(SOLVERS) if options.method == "all" else tuple(options.method.split(","))
+    unknown = [name for name in names if name not in SOLVERS]
+    if unknown:
+        raise RgbdDicError(f"--method {','.join(unknown)}: choose from {', '.join(SOLVERS)}, or all")
+    return settings, tuple(dict.fromkeys(names))
+
+
+def beside(bag: Path, name: str) -> Path | None:
+    """A file inside the bag's directory, or beside its .mcap file, if it is there."""
+    path = (bag if bag.is_dir() else bag.parent) / name
+    return path if path.exists() else None
+
+
+def required_file(given: Path | None, bag: Path, name: str) -> Path:
+    """The file given, or else the one inside the bag's directory.
+
+    Raises:
+        RgbdDicError: if neither is there.
+    """
+    path = given or beside(bag, name)
+    if path is None:
+        raise RgbdDicError(
+            f"no {name} in {bag}: give it with --{name.removesuffix('.yaml')} (see docs/files.md)"
+        )
+    return path
+
+
+def print_summary(openings: Sequence[CrackOpening], truth: Truth | None) -> int:
+    """Print what was measured, and how far it is from the truth; returns the exit code."""
+    methods = sorted({opening.method for opening in openings})
+    for method in methods:
+        mine = [opening for opening in openings if opening.method == method]
+        valid = [opening for opening in mine if opening.valid]
+        line = f"{method:7s} {len(valid)} of {len(mine)} frames valid"
+        if valid:
+            widest = max(valid, key=lambda opening: abs(opening.opening_m))
+            line += (
+                f", widest opening {widest.opening_m * 1e3:.4f} mm (standard uncertainty "
+                f"{widest.u_opening_m * 1e3:.4f} mm)"
+            )
+        print(line)
+    for comparison in compare(openings, truth) if truth is not None else ():
+        if comparison.valid:
+            print(
+                f"{comparison.method:7s} RMS error of the opening {comparison.rms_m * 1e3:.4f} mm over "
+                f"{comparison.valid} frames, mean error {comparison.error_m.mean() * 1e3:+.4f} mm"
+            )
+    return 0 if any(opening.valid for opening in openings) else NOTHING_VALID

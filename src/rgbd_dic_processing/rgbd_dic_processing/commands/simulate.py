@@ -1,0 +1,60 @@
+"""rgbd-dic simulate: a flight in front of a cracking panel, as a bag with its exact truth."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+
+import yaml
+from rgbd_dic_acquisition.errors import SettingsError
+from tqdm import tqdm
+
+
+def add_parser(commands: Any) -> None:
+    parser = commands.add_parser("simulate", help="make a bag with known truth", description=__doc__)
+    parser.add_argument("--out", type=Path, required=True, help="directory of the bag; must not exist")
+    parser.add_argument(
+        "--preset",
+        choices=("sample",),
+        default="sample",
+        help="flight to start from (default: sample, as in bags/)",
+    )
+    parser.add_argument(
+        "--settings", type=Path, help="YAML with what differs from the preset (docs/parameters.md)"
+    )
+    parser.add_argument(
+        "--duration", type=float, metavar="S", help="length of the recording [s] (default: 2)"
+    )
+    parser.add_argument(
+        "--seed", type=int, help="of all random numbers (default: 1); the same gives the same bytes"
+    )
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    from rgbd_dic_acquisition.simulator.flight import FlightSettings
+    from rgbd_dic_acquisition.simulator.flight_bag import simulate_flight
+
+    values: dict[str, Any] = {}
+    if options.settings is not None:
+        try:
+            values = yaml.safe_load(options.settings.read_text()) or {}
+        except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+            raise SettingsError(f"cannot read settings {options.settings}: {error}") from error
+    for name, value in (("duration_s", options.duration), ("seed", options.seed)):
+        if value is not None:
+            values[name] = value
+    settings = FlightSettings.from_mapping(values, str(options.settings or "simulate"))
+    with tqdm(unit="exposure", file=sys.stderr, disable=None) as bar:
+
+        def progress(done: int, total: int) -> None:
+            bar.total = total
+            bar.update(done - bar.n)
+
+        summary = simulate_flight(settings, options.out, progress)
+    print(f"{summary.path}: {sum(summary.counts.values())} messages")
+    for topic, count in sorted(summary.counts.items()):
+        print(f"  {count:6d}  {topic}")
+    return 0

@@ -1,0 +1,204 @@
+"""The node graph, described once: `rgbd-dic up` starts it from here, and so do the launch files.
+
+All names are relative, so that a namespace can be pushed on them.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from .core.settings import ProcessingSettings
+
+ACQUISITION, PROCESSING = "rgbd_dic_acquisition", "rgbd_dic_processing"
+
+TYPES = {
+    "camera/image_raw": "sensor_msgs/msg/Image",
+    "camera/camera_info": "sensor_msgs/msg/CameraInfo",
+    "tof/depth/image_raw": "sensor_msgs/msg/Image",
+    "tof/depth/camera_info": "sensor_msgs/msg/CameraInfo",
+    "tof/intensity/image_raw": "sensor_msgs/msg/Image",
+    "tof/confidence/image_raw": "sensor_msgs/msg/Image",
+    "imu/data": "sensor_msgs/msg/Imu",
+    "frame_pair": "rgbd_dic_msgs/msg/FramePair",
+    "plane": "rgbd_dic_msgs/msg/PlaneStamped",
+    "reference": "rgbd_dic_msgs/msg/Reference",
+    "subset_field": "rgbd_dic_msgs/msg/SubsetField",
+    "displacement_field": "rgbd_dic_msgs/msg/DisplacementField",
+    "crack_opening": "rgbd_dic_msgs/msg/CrackOpening",
+}
+LATCHED = {"reference"}
+SENSOR_TOPICS = tuple(list(TYPES)[:7])
+CAMERA_TOPICS = ("camera/image_raw", "camera/camera_info")
+TOF_TOPICS = (
+    "tof/depth/image_raw",
+    "tof/depth/camera_info",
+    "tof/intensity/image_raw",
+    "tof/confidence/image_raw",
+)
+
+
+@dataclass(frozen=True)
+class NodeSpec:
+    """One node: what it is started from, and the topics it takes and gives (names after remapping)."""
+
+    package: str
+    executable: str
+    takes: tuple[str, ...]
+    gives: tuple[str, ...]
+    name: str = ""
+    parameters: dict[str, Any] = field(default_factory=dict)
+    remappings: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def node_name(self) -> str:
+        return self.name or self.executable
+
+
+@dataclass(frozen=True)
+class GraphFiles:
+    """The files that the processing nodes are given."""
+
+    calibration: Path
+    regions: Path
+
+
+def processing_nodes(
+    files: GraphFiles, settings: ProcessingSettings, methods: tuple[str, ...]
+) -> list[NodeSpec]:
+    """DIC, pairing, planes, and a compensation and a crack_opening node for each method.
+
+    The first method publishes `displacement_field` and `crack_opening`; every other one under its own name, such as
+    `h_3d/crack_opening`.
+    """
+    calibration = {"calibration_file": str(files.calibration.resolve())}
+    regions = {"regions_file": str(files.regions.resolve())}
+    stages = settings.as_dict()
+
+    def stage(*names: str) -> dict[str, Any]:
+        return {f"{name}.{key}": value for name in names for key, value in stages[name].items()}
+
+    nodes = [
+        NodeSpec(
+            PROCESSING,
+            "dic_node",
+            CAMERA_TOPICS,
+            ("reference", "subset_field"),
+            parameters={**calibration, **regions, **stage("correlation", "search"), "image_qos.depth": 50},
+        ),
+        NodeSpec(
+            PROCESSING,
+            "pairing_node",
+            ("camera/camera_info", "tof/depth/camera_info"),
+            ("frame_pair",),
+            parameters=stage("pairing"),
+        ),
+        NodeSpec(
+            PROCESSING,
+            "plane_node",
+            ("tof/depth/image_raw", "subset_field"),
+            ("plane",),
+            parameters={**calibration, **regions, **stage("plane")},
+        ),
+    ]
+    for index, method in enumerate(methods):
+        suffix = f"_{method}" if index else ""
+        moved = (
+            {topic: f"{method}/{topic}" for topic in ("displacement_field", "crack_opening")} if index else {}
+        )
+        displacement, opening = (moved.get(t, t) for t in ("displacement_field", "crack_opening"))
+        nodes += [
+            NodeSpec(
+                PROCESSING,
+                "compensation_node",
+                ("reference", "subset_field", "plane", "frame_pair", "camera/camera_info"),
+                (displacement,),
+                f"compensation_node{suffix}",
+                {**calibration, **regions, **stage("compensation"), "compensation.method": method},
+                moved,
+            ),
+            NodeSpec(
+                PROCESSING,
+                "crack_opening_node",
+                (displacement, "camera/camera_info"),
+                (opening,),
+                f"crack_opening_node{suffix}",
+                {**calibration, **regions, **stage("crack")},
+                moved,
+            ),
+        ]
+    return nodes
+
+
+def opening_topic(method: str, methods: tuple[str, ...]) -> str:
+    """Where the openings of a method are published."""
+    return "crack_opening" if method == methods[0] else f"{method}/crack_opening"
+
+
+def simulated_sensors() -> list[NodeSpec]:
+    """Camera and ToF sensor on the simulated flight."""
+    return [
+        NodeSpec(ACQUISITION, "camera_node", (), CAMERA_TOPICS, parameters={"source": "simulated"}),
+        NodeSpec(ACQUISITION, "tof_node", (), TOF_TOPICS, parameters={"source": "simulated"}),
+    ]
+
+
+def recorder(output: Path, topics: tuple[str, ...]) -> NodeSpec:
+    """A recorder of these topics."""
+    entries = [f"{topic} {topic_type(topic)}{' latched' if topic in LATCHED else ''}" for topic in topics]
+    return NodeSpec(
+        ACQUISITION,
+        "recorder_node",
+        topics,
+        (),
+        parameters={"output": str(output.resolve()), "topics": entries, "queue_depth": 1000},
+    )
+
+
+def player(
+    bag: Path,
+    topics: tuple[str, ...],
+    nodes: list[NodeSpec],
+    answers: tuple[str, ...],
+    rate: float,
+    window: int,
+) -> NodeSpec:
+    """A player of these topics of a bag that waits until the nodes are connected.
+
+    Args:
+        answers: topics that answer each image; the player keeps at most `window` images unanswered. Empty: it plays
+            by the clock alone.
+        rate: speed; 0 is as fast as the answers come.
+    """
+    expected = subscriptions(nodes)
+    return NodeSpec(
+        ACQUISITION,
+        "player_node",
+        answers,
+        topics,
+        parameters={
+            "bag": str(bag.resolve()),
+            "topics": list(topics),
+            "rate": float(rate),
+            "window": window,
+            "acknowledge_topics": [f"{topic} {topic_type(topic)}" for topic in answers],
+            "wait_for_matched": [f"{topic} {expected[topic]}" for topic in topics if expected[topic]],
+        },
+    )
+
+
+def subscriptions(nodes: list[NodeSpec]) -> Counter[str]:
+    """How many subscriptions each topic has."""
+    return Counter(topic for node in nodes for topic in node.takes)
+
+
+def topic_type(topic: str) -> str:
+    """Type of a topic, with or without a method's name before it."""
+    return TYPES[topic] if topic in TYPES else TYPES[topic.rsplit("/", 1)[-1]]
+
+
+def all_topics(nodes: list[NodeSpec]) -> tuple[str, ...]:
+    """Every topic that the nodes take or give, in the order of the description."""
+    return tuple(dict.fromkeys(topic for node in nodes for topic in (*node.takes, *node.gives)))

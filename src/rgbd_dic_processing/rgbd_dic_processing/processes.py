@@ -1,0 +1,112 @@
+"""Starting and ending the nodes of a graph as processes of their own, without ROS' launch system."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import yaml
+from ament_index_python.packages import PackageNotFoundError, get_package_prefix
+from rgbd_dic_acquisition.errors import RgbdDicError
+
+from .graph import NodeSpec
+
+END_TIMEOUT_S = 10.0
+
+
+class GraphProcesses:
+    """The running nodes; a context manager that ends them all, whatever happens.
+
+    Args:
+        folder: for each node's parameter file and log.
+        use_sim_time: whether the nodes follow /clock.
+        namespace: pushed on all names.
+    """
+
+    def __init__(self, folder: Path, use_sim_time: bool, namespace: str = ""):
+        self._folder, self._use_sim_time, self._namespace = folder, use_sim_time, namespace
+        self._running: dict[str, subprocess.Popen] = {}
+        folder.mkdir(parents=True, exist_ok=True)
+
+    def start(self, spec: NodeSpec) -> subprocess.Popen:
+        """Start one node; its output goes to `<node>.log`."""
+        parameters = self._folder / f"{spec.node_name}.yaml"
+        values = {"use_sim_time": self._use_sim_time, **spec.parameters}
+        values = {name: value for name, value in values.items() if value != []}
+        parameters.write_text(yaml.safe_dump({"/**": {"ros__parameters": values}}))
+        command = [str(_executable(spec)), "--ros-args", "-r", f"__node:={spec.node_name}"]
+        if self._namespace:
+            command += ["-r", f"__ns:={self._namespace}"]
+        for before, after in spec.remappings.items():
+            command += ["-r", f"{before}:={after}"]
+        command += ["--params-file", str(parameters)]
+        with self.log_of(spec.node_name).open("wb") as log:
+            process = subprocess.Popen(
+                command,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                stdin=subprocess.DEVNULL,
+                env=_environment(),
+                start_new_session=True,
+            )
+        self._running[spec.node_name] = process
+        return process
+
+    def log_of(self, node_name: str) -> Path:
+        return self._folder / f"{node_name}.log"
+
+    def check(self) -> None:
+        """Raise if a node has ended in failure.
+
+        Raises:
+            RgbdDicError: naming the node, with the last line that it said.
+        """
+        for name, process in self._running.items():
+            if process.poll() not in (None, 0):
+                lines = self.log_of(name).read_text(errors="replace").strip().splitlines() or [
+                    "(it said nothing)"
+                ]
+                raise RgbdDicError(
+                    f"{name} ended with exit code {process.returncode}: {lines[-1]} (log: {self.log_of(name)})"
+                )
+
+    def end(self) -> None:
+        """SIGINT to all, so that recordings are finished; SIGKILL to what is still there after a while."""
+        for process in self._running.values():
+            if process.poll() is None:
+                process.send_signal(signal.SIGINT)
+        deadline = time.monotonic() + END_TIMEOUT_S
+        for process in self._running.values():
+            try:
+                process.wait(max(0.1, deadline - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+    def __enter__(self) -> GraphProcesses:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.end()
+
+
+def _executable(spec: NodeSpec) -> Path:
+    try:
+        path = Path(get_package_prefix(spec.package), "lib", spec.package, spec.executable)
+    except PackageNotFoundError as error:
+        raise RgbdDicError(
+            f"package {spec.package} is not found: source the workspace's install/setup.bash first"
+        ) from error
+    if not path.exists():
+        raise RgbdDicError(f"{path} is missing: build the workspace again")
+    return path
+
+
+def _environment() -> dict[str, str]:
+    environment = dict(os.environ)
+    environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    environment["PYTHONUNBUFFERED"] = "1"
+    return environment

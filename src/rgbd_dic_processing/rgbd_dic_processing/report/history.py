@@ -1,0 +1,110 @@
+"""history.png: the opening over time with its uncertainty, the truth, the frames that failed, and the error."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from ..results import Truth
+from .drawing import (
+    TRUTH_LINE,
+    Picture,
+    frames_per_stroke,
+    line_of,
+    new_figure,
+    plot_band,
+    plot_values,
+    save,
+)
+from .frame_states import draw_states, states
+from .series import Series
+
+NAME = "history.png"
+TIME_LABEL = "time since the first frame [s]"
+
+
+def draw(methods: Sequence[Series], truth: Truth | None, folder: Path) -> list[Picture]:
+    """Write the figure; nothing if the run has no openings."""
+    if not methods:
+        return []
+    compared = [series for series in methods if truth is not None and np.isfinite(series.error_mm).any()]
+    failures = len(states(methods, with_valid=False))
+    heights = [3.2] + [0.25 + 0.28 * failures] * bool(failures) + [1.25] * len(compared)
+    figure = new_figure(9.0, 0.6 + sum(heights) + 0.2 * len(heights))
+    panels = figure.subplots(
+        len(heights), 1, sharex=True, squeeze=False, gridspec_kw={"height_ratios": heights}
+    )[:, 0]
+    _draw_openings(panels[0], methods)
+    if failures:
+        draw_states(panels[1], methods, with_valid=False)
+        panels[1].set_title("frames that are not valid, for each method", loc="left")
+    for axes, series in zip(panels[len(panels) - len(compared) :], compared, strict=True):
+        _draw_error(axes, series)
+    panels[-1].set_xlabel(TIME_LABEL)
+    end = max(series.time_s[-1] for series in methods)
+    panels[0].set_xlim((-0.01 * end, 1.01 * end) if end > 0 else (-0.5, 0.5))
+    return [save(figure, folder / NAME, _caption(methods, compared), _alt(methods, compared))]
+
+
+def _draw_openings(axes: Axes, methods: Sequence[Series]) -> None:
+    known = next((series for series in methods if np.isfinite(series.truth_mm).any()), None)
+    if known is not None:
+        plot_values(axes, known.time_s, known.truth_mm, "truth", **TRUTH_LINE)
+    for series in methods:
+        line = line_of(series.method)
+        low, high = series.opening_mm - 2 * series.u_mm, series.opening_mm + 2 * series.u_mm
+        plot_band(axes, series.time_s, low, high, line["color"])
+        plot_values(axes, series.time_s, series.opening_mm, series.method, **line)
+    if not any(series.valid.any() for series in methods):
+        axes.text(0.5, 0.5, "no frame is valid", transform=axes.transAxes, ha="center", va="center")
+    axes.axhline(0.0, color="0.6", linewidth=0.6, zorder=0)
+    axes.set_ylabel("opening since the reference [mm]")
+    axes.set_ylim(*_opening_range(methods))
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=len(methods) + 1)
+
+
+def _opening_range(methods: Sequence[Series]) -> tuple[float, float]:
+    """All openings and truths [mm], and nearly all bands: one frame with a huge uncertainty must not flatten the rest."""
+    values = np.concatenate(
+        [np.zeros(1)] + [v for series in methods for v in (series.opening_mm, series.truth_mm)]
+    )
+    bands = np.concatenate([2 * series.u_mm for series in methods])
+    bands = bands[np.isfinite(bands)]
+    low, high = np.nanmin(values), np.nanmax(values)
+    margin = max(np.percentile(bands, 95) if len(bands) else 0.0, 0.05 * (high - low), 1e-3)
+    return low - margin, high + margin
+
+
+def _draw_error(axes: Axes, series: Series) -> None:
+    line, error = line_of(series.method), series.error_mm
+    compared = np.isfinite(error)
+    plot_band(axes, series.time_s, -2 * series.u_mm, 2 * series.u_mm, line["color"])
+    plot_values(axes, series.time_s, error, **line)
+    axes.axhline(0.0, color="0.6", linewidth=0.6, zorder=0)
+    reach = 1.15 * max(np.max(np.abs(error[compared])), np.percentile(2 * series.u_mm[compared], 95), 1e-6)
+    axes.set_ylim(-reach, reach)
+    axes.set_ylabel("error [mm]")
+    axes.set_title(f"{series.method}: measured less true opening", loc="left")
+
+
+def _caption(methods: Sequence[Series], compared: Sequence[Series]) -> str:
+    text = (
+        "Crack opening since the reference image [mm]. The shaded bands are plus and minus two standard "
+        "uncertainties (k = 2) as the measurement states them."
+    )
+    if compared:
+        text += " Below, the error of each method on a scale of its own, over its stated band around zero."
+    size = frames_per_stroke(max(len(series.time_s) for series in methods))
+    if size > 1:
+        text += f" Each stroke spans the lowest to the highest value of {size} frames in succession."
+    return text
+
+
+def _alt(methods: Sequence[Series], compared: Sequence[Series]) -> str:
+    names = ", ".join(series.method for series in methods)
+    return f"Crack opening in millimetres over time by {names}" + (
+        ", with the truth and the error of each method." if compared else "."
+    )
