@@ -1,4 +1,4 @@
-"""The files of an old recording: images, depth, clouds and stamps, as arrays; units and rules in one place."""
+"""The files of an old recording, images, depth, clouds and stamps, as arrays; all rules of units are here."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def to_mono8(pixels: NDArray[Any], limits: tuple[int, int]) -> NDArray[np.uint8]
 
 
 def read_depth(path: Path) -> NDArray[np.float32]:
-    """Depth (rows, cols) in metres, NaN for none. PNG of 16 bits and integer .npy: millimetres, float .npy: metres.
+    """Depth (rows, cols) in metres, NaN for none. 16-bit PNG, integer .npy: millimetres; float .npy: metres.
 
     Raises:
         ImageError: it cannot be read, is of another type or shape, or has no pixel in range.
@@ -100,7 +100,7 @@ def read_depth(path: Path) -> NDArray[np.float32]:
 
 
 def read_cloud(path: Path) -> tuple[NDArray[np.float32], str]:
-    """Points (N, 3) [m] of a .ply and the unit it was in: a cloud with a median |z| above 65 is in millimetres.
+    """Points (N, 3) [m] of a .ply and the unit it was in: millimetres if the median z is above 65.
 
     Raises:
         ImageError: it cannot be read, or has no points x, y, z.
@@ -149,8 +149,8 @@ def read_stamps(path: Path, files: Sequence[Path], column: str) -> list[int]:
     for before, after, file in zip(stamps, stamps[1:], files[1:], strict=False):
         if after <= before:
             raise ImageError(
-                f"{path}: stamps must increase in the order of the file names; {file.name} at {after * 1e-9:.9f} s "
-                f"comes after {before * 1e-9:.9f} s"
+                f"{path}: stamps must increase in the order of the file names; {file.name} at "
+                f"{after * 1e-9:.9f} s comes after {before * 1e-9:.9f} s"
             )
     if stamps[0] < 0:
         raise ImageError(f"{path}: stamp {stamps[0] * 1e-9:.9f} s is before 0; give seconds from 0 or later")

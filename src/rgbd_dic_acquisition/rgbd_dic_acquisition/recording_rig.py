@@ -30,8 +30,8 @@ def recording_rig(
         centre = (cols - 1) / 2, (rows - 1) / 2
         given = "as given" if focal_px is not None else "the image's width, a guess"
         notes.append(
-            f"no calibration: a pinhole without distortion, focal length {focal:g} px ({given}), principal point "
-            "in the middle; lengths are only as good as that"
+            f"no calibration: a pinhole without distortion, focal length {focal:g} px ({given}), principal "
+            "point in the middle; lengths are only as good as that"
         )
         return Calibration(Camera(cols, rows, focal, focal, *centre))
     camera = calibration.camera
@@ -46,7 +46,7 @@ def recording_rig(
 def with_constant_plane(
     rig: Calibration, distance_m: float | None, notes: list[str]
 ) -> tuple[Calibration, float]:
-    """A rig whose ToF sensor is the camera itself with fewer pixels, and the distance of the plane that it sees.
+    """A rig whose ToF sensor is the camera itself with fewer pixels, and the distance of its plane.
 
     Raises:
         CalibrationError: the distance is not within 0.01 and 1000 m.
@@ -55,8 +55,8 @@ def with_constant_plane(
     if distance_m is None:
         distance_m = METRES_A_PIXEL * (camera.fx + camera.fy) / 2
         notes.append(
-            f"no depth and no distance: a plane squarely in front at {distance_m:.6g} m, so that 1 mm in the results "
-            "is 1 pixel; the scale is unknown"
+            f"no depth and no distance: a plane squarely in front at {distance_m:.6g} m, so that 1 mm in the "
+            "results is 1 pixel; the scale is unknown"
         )
     else:
         if not 0.01 <= distance_m <= 1000.0:
@@ -69,10 +69,10 @@ def with_constant_plane(
 
 
 def with_depth_images(rig: Calibration, depth_shape: tuple[int, int], notes: list[str]) -> Calibration:
-    """The rig for depth images of this shape; without a ToF sensor they must be aligned with the camera's images.
+    """The rig for depth images of this shape; without a ToF sensor they must be aligned with the images.
 
     Raises:
-        CalibrationError: the ToF sensor of the calibration is of another size, or is missing where it is needed.
+        CalibrationError: the calibration's ToF sensor is of another size, or is missing where it is needed.
     """
     rows, cols = depth_shape
     camera, tof = rig.camera, rig.tof
@@ -83,8 +83,8 @@ def with_depth_images(rig: Calibration, depth_shape: tuple[int, int], notes: lis
         return Calibration(camera, camera, np.eye(3), np.zeros(3))
     if tof is None:
         raise CalibrationError(
-            f"depth images of {cols} x {rows} pixels need a calibration with 'tof' and 'T_camera_tof', because "
-            f"they are not aligned with the images of {camera.width} x {camera.height} pixels"
+            f"depth images of {cols} x {rows} pixels need a calibration with 'tof' and 'T_camera_tof', "
+            f"because they are not aligned with the images of {camera.width} x {camera.height} pixels"
         )
     if (tof.width, tof.height) != (cols, rows):
         raise CalibrationError(

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -62,11 +64,11 @@ def import_recording(
     Args:
         images: folder of PNG or TIFF files, 8 or 16 bits, in the natural order of their names. 16 bits are
             scaled to mono8 with one scale for all, from the 0.1th to the 99.9th percentile of all pixels.
-        depth: folder of depth files: .png of 16 bits or integer .npy (millimetres), float .npy (metres), or .ply
-            clouds (metres; millimetres if the median z is above 65). Without stamps of their own, one an image.
+        depth: folder of depth files: 16-bit .png or integer .npy (millimetres), float .npy (metres), or .ply
+            clouds (metres; millimetres if the median z is above 65). Without own stamps, one an image.
         stamps, depth_stamps: CSV with the header image,stamp_s or depth,stamp_s, one row a file [s].
-        distance_m: of a plane that stands for missing depth, squarely in front of the camera [m]; None takes the
-            distance at which a pixel is a millimetre.
+        distance_m: of a plane that stands for missing depth, squarely in front of the camera [m]; None takes
+            the distance at which a pixel is a millimetre.
         calibration: of the camera and, with depth that is not aligned with the images, of the ToF sensor.
         focal_px: focal length where there is no calibration [px]; None takes the image's width.
         frame_rate_hz: images a second where there are no stamps [Hz].
@@ -77,6 +79,10 @@ def import_recording(
         CalibrationError: the calibration is of other image sizes, or lacks the ToF sensor.
         BagError: `out` exists or cannot be written.
     """
+    if depth is None and depth_stamps is not None:
+        raise ImageError("depth stamps without depth files: give the folder of the depth files too")
+    if depth is not None and distance_m is not None:
+        raise ImageError("both depth files and a distance: a distance is for recordings without depth")
     notes: list[str] = []
     image_files = find_files(Path(images), IMAGE_SUFFIXES, "image")
     depth_files = [] if depth is None else find_files(Path(depth), DEPTH_SUFFIXES, "depth")
@@ -97,7 +103,8 @@ def import_recording(
 
     frames = [(stamp, 1, file) for stamp, file in zip(image_ns, image_files, strict=True)]
     frames += [(stamp, 0, file) for stamp, file in zip(depth_ns, depth_files, strict=True)]
-    with BagWriter(out, compression) as bag:
+    bag = BagWriter(out, compression)
+    with _nothing_left_of(bag.path), bag:
         for topic, typename in recording.topics(depth_files).items():
             bag.add_topic(topic, typename, transient_local=topic == "/tf_static")
         start_ns = min(stamp for stamp, _, _ in frames)
@@ -110,6 +117,16 @@ def import_recording(
             tick()
     save_calibration(rig, bag.path / "calibration.yaml")
     return ImportSummary(bag.path, dict(bag.counts), tuple(notes))
+
+
+@contextmanager
+def _nothing_left_of(path: Path) -> Iterator[None]:
+    """Remove the half of a bag that was written when something fails."""
+    try:
+        yield
+    except BaseException:
+        shutil.rmtree(path)
+        raise
 
 
 @dataclass(frozen=True)
@@ -139,8 +156,9 @@ class _Recording:
         pixels = read_image(file)
         if pixels.shape != self.image_shape or pixels.dtype != self.image_type:
             raise ImageError(
-                f"{file} has {_kind(pixels)}, but the first image {_kind_of(self.image_shape, self.image_type)}: "
-                "all images must be alike; put the others into a folder of their own"
+                f"{file} has {_kind(pixels.shape, pixels.dtype)}, but the first image "
+                f"{_kind(self.image_shape, self.image_type)}: all images must be alike; put the others "
+                "into a folder of their own"
             )
         grey = pixels if self.limits is None else to_mono8(pixels, self.limits)
         yield "/camera/image_raw", messages.image_message(make_message, stamp_ns, CAMERA_FRAME, grey, "mono8")
@@ -151,7 +169,9 @@ class _Recording:
         if file.suffix.lower() != ".ply":
             depth = read_depth(file)
             if self.rig.tof is None or depth.shape != (self.rig.tof.height, self.rig.tof.width):
-                raise ImageError(f"{file} has {_kind(depth)}, unlike the first depth file; all must be alike")
+                raise ImageError(
+                    f"{file} has {depth.shape[1]} x {depth.shape[0]} pixels, unlike the first depth file"
+                )
             yield from self._depth_image(stamp_ns, depth)
             return
         points, unit = read_cloud(file)
@@ -193,8 +213,8 @@ def _stamps(
         depth_ns = read_stamps(Path(depth_stamps), depth_files, "depth")
     elif len(depth_files) not in (0, len(image_files)):
         raise ImageError(
-            f"{len(depth_files)} depth files for {len(image_files)} images: without stamps of their own there must "
-            "be one for each image; give depth stamps (a CSV with the header depth,stamp_s)"
+            f"{len(depth_files)} depth files for {len(image_files)} images: without own stamps there must be "
+            "one for each image; give depth stamps (a CSV with the header depth,stamp_s)"
         )
     else:
         depth_ns = image_ns[: len(depth_files)]
@@ -214,8 +234,8 @@ def _common_scale(files: Sequence[Path], tick: Callable[[], None], notes: list[s
         tick()
     limits = grey_limits(histogram)
     notes.append(
-        f"16 bits scaled to 8: grey level {limits[0]} became 0 and {limits[1]} became 255 in all images (0.1th and "
-        "99.9th percentile of all pixels)"
+        f"16 bits scaled to 8: grey level {limits[0]} became 0 and {limits[1]} became 255 in all images "
+        "(0.1th and 99.9th percentile of all pixels)"
     )
     return limits
 
@@ -232,9 +252,5 @@ def _ticker(progress: Progress | None, total: int) -> Callable[[], None]:
     return tick
 
 
-def _kind(pixels: NDArray[Any]) -> str:
-    return _kind_of(pixels.shape, pixels.dtype)
-
-
-def _kind_of(shape: tuple[int, ...], dtype: np.dtype[Any]) -> str:
+def _kind(shape: tuple[int, ...], dtype: np.dtype[Any]) -> str:
     return f"{shape[1]} x {shape[0]} pixels of {8 * dtype.itemsize} bits"

@@ -37,7 +37,7 @@ from rgbd_dic_acquisition.messages import (
 )
 from rgbd_dic_acquisition.nodes.diagnostics import matched_subscriptions
 from rgbd_dic_acquisition.simulator.flight import Flight, FlightSettings
-from rgbd_dic_acquisition.simulator.live import SimulatedTof, scene_time_s
+from rgbd_dic_acquisition.simulator.live import scene_time_s
 
 START_NS = 1_700_000_000_000_000_000
 PERIOD_NS = 16_666_667
@@ -359,13 +359,13 @@ def test_both_sensors_show_the_same_flight_with_stamps_that_match(processes, tmp
     flight = Flight(settings)
     assert Camera.from_camera_info(next(iter(infos.values()))) == flight.calibration.camera
     stamp, message = list(images.items())[7]
-    index = round(scene_time_s(stamp, 0.2) * 50)
+    index = round(scene_time_s(stamp, settings) * 50)
     np.testing.assert_array_equal(image_from_message(message), flight.image(index / 50, index))
     stamp, message = list(depths.items())[7]
-    pose, _ = SimulatedTof(settings).truth(stamp)
-    # The panel fills the middle; the median of a hundred pixels has 0.5 mm of noise, the tilt adds centimetres.
-    depth = depth_from_message(message)[55:65, 75:85]
-    assert np.nanmedian(depth) == pytest.approx(pose.t[2], abs=0.05)
+    number, rest = divmod(stamp - 7_300_000, 50_000_000)  # 20 Hz, 7.3 ms after the camera
+    assert rest == 0
+    expected = flight.depth(scene_time_s(stamp, settings), number).depth_m
+    np.testing.assert_allclose(depth_from_message(message), expected, atol=0.51e-3)  # sent in millimetres
 
 
 def test_attitude_of_an_autopilot_reaches_the_graph(processes, tmp_path):
@@ -416,13 +416,21 @@ def test_attitude_of_an_autopilot_reaches_the_graph(processes, tmp_path):
         ("recorder_node", {}, r"parameter output is missing"),
         ("player_node", {"bag": "/no/such/bag"}, r"there is no bag /no/such/bag"),
         ("player_node", {"bag": "x", "rate": -1.0}, r"rate = -1.0 x is out of range"),
-        ("player_node", {"bag": "x", "wait_for_matched": ["a"]}, r"'a' is not understood"),
+        ("player_node", {"acknowledge_topics": ["plane"]}, r"'plane' is not understood; give 'NAME TYPE'"),
     ],
 )
 def test_a_wrong_parameter_is_refused_with_the_reason(processes, node, parameters, reason):
     log = _finish(processes.node(node, **parameters), code=1)
     assert re.search(reason, log)
     assert len(log.splitlines()) == 1  # no traceback
+
+
+@pytest.mark.parametrize(
+    ("entry", "reason"),
+    [("label", "'label' is not understood; give 'NAME COUNT'"), ("x 1", "x is not played")],
+)
+def test_what_to_wait_for_must_be_played(processes, bag, entry, reason):
+    assert reason in _finish(processes.node("player_node", bag=str(bag), wait_for_matched=[entry]), code=1)
 
 
 def test_nobody_to_play_for_is_an_error(processes, bag):

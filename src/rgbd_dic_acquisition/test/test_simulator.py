@@ -139,7 +139,7 @@ def test_rendering_does_not_depend_on_threads():
 
 @pytest.fixture(scope="module")
 def squarely_in_front():
-    """Flight and camera at rest, image plane parallel to the panel, no distortion: shifts are f / distance."""
+    """At rest, image plane parallel to the panel, no distortion: one metre is f / distance pixels."""
     at_rest = MotionSettings(yaw_rad=0.0, pitch_rad=0.0, roll_rad=0.0, sway_m=0.0, sway_rad=0.0)
     flight = Flight(small_settings(motion=at_rest))
     lens = replace(sensor_rig(CameraSettings(), TofSettings()).camera, k1=0.0, k2=0.0)

@@ -11,7 +11,6 @@ from rgbd_dic_acquisition.bag import BagReader
 from rgbd_dic_acquisition.calibration import Calibration, Camera, load_calibration
 from rgbd_dic_acquisition.errors import BagError, CalibrationError, ImageError
 from rgbd_dic_acquisition.messages import depth_from_message, image_from_message, stamp_to_ns
-
 from scipy.spatial.transform import Rotation
 
 from .core.pipeline import Measurement, Pipeline

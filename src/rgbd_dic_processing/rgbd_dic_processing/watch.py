@@ -14,6 +14,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rgbd_dic_acquisition.errors import RgbdDicError
 from rgbd_dic_acquisition.nodes.diagnostics import matched_subscriptions
+
 from rgbd_dic_msgs.msg import CrackOpening as CrackOpeningMessage
 
 from .core.crack import CrackOpening
@@ -29,7 +30,7 @@ class GraphWatch:
 
     Attributes:
         openings: all that were published, in the order of arrival.
-        last_heard: steady time of the last of them [s].
+        first_heard, last_heard: steady time of the first and the last of them [s].
     """
 
     def __init__(self, topics: dict[str, str], namespace: str, on_opening: Callable[[CrackOpening], None]):
@@ -37,7 +38,7 @@ class GraphWatch:
         os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         self.openings: list[CrackOpening] = []
-        self.last_heard = time.monotonic()
+        self.first_heard = self.last_heard = time.monotonic()
         self._topics, self._on_opening = topics, on_opening
         self._node = Node("rgbd_dic_up", namespace=namespace or None)
         self._executor = EventsExecutor()
@@ -96,8 +97,10 @@ class GraphWatch:
 
     def _opening(self, message: CrackOpeningMessage) -> None:
         opening = crack_opening_from_message(message)
-        self.openings.append(opening)
         self.last_heard = time.monotonic()
+        if not self.openings:
+            self.first_heard = self.last_heard
+        self.openings.append(opening)
         self._on_opening(opening)
 
     def _diagnostics(self, message: DiagnosticArray) -> None:

@@ -1,13 +1,8 @@
 """Exact geometry in, exact opening out: every method, on oblique views, with distortion and non-square pixels."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 from rgbd_dic_acquisition.calibration import Camera
-
-sys.path.insert(0, str(Path(__file__).parent))
 from rgbd_dic_processing.core.crack import CrackMeasurement
 from rgbd_dic_processing.core.displacement import SOLVERS, DisplacementMeasurement
 from rgbd_dic_processing.core.settings import CompensationSettings, CrackSettings

@@ -7,13 +7,11 @@ noise and the kernel itself can displace a subset.
 
 import dataclasses
 import re
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parent))
 import numpy_icgn
 from rgbd_dic_acquisition.errors import ImageError, SettingsError
 from rgbd_dic_processing.core.correlation import CorrelationSettings, ReferenceSubsets, SubsetStatus

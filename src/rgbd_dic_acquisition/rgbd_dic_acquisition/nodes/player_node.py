@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
-from rclpy.subscription import Subscription
 
 from ..bag import BagReader
 from ..errors import RgbdDicError, SettingsError
-from ..in_flight import InFlight, header_stamp_ns
+from ..in_flight import header_stamp_ns
 from ..settings import Settings, setting
-from .diagnostics import Diagnostics
+from .answers import Answers
+from .diagnostics import Diagnostics, WatchedPublisher
 from .parameters import declare, declare_path
 from .played_topics import PlayedTopics
-from .ros_messages import message_class
 from .spinning import run
 
 STEP_S = 0.05
@@ -61,24 +59,19 @@ class PlayerNode(Node):
         super().__init__("player_node")
         self._settings = s = declare(self, PlayerSettings)
         self._diagnostics = Diagnostics(self)
-        answers = [
-            _words(entry, "acknowledge_topics: 'NAME TYPE'") for entry in s.acknowledge_topics if entry
-        ]
-        needed = [_words(entry, "wait_for_matched: 'NAME COUNT'") for entry in s.wait_for_matched if entry]
+        answers = [entry for entry in s.acknowledge_topics if entry]
+        self._answers = Answers(self, answers, s.acknowledge_timeout_s, s.queue_depth)
         self._bag = BagReader(declare_path(self, "bag", "the bag to play: a directory or a .mcap file"))
         chosen = [name for name in s.topics if name]
         self._topics = PlayedTopics(self, self._diagnostics, self._bag, chosen, s.queue_depth)
-        self._needed = [(self._topics.publisher(name), _whole(count)) for name, count in needed]
-        self._in_flight = InFlight(name for name, _ in answers)
-        self._answered_at = time.monotonic()
-        self._answers = [self._subscribe(name, typename) for name, typename in answers]
+        self._needed = [self._parse_needed(entry) for entry in s.wait_for_matched if entry]
 
     def work(self) -> Iterator[float]:
         """Play the bag from its first message to the last answer."""
         yield from self._wait_for_connections()
         yield from self._pause(self._settings.start_delay_s)
         yield from self._play()
-        yield from self._wait_for_answers(lambda: not self._in_flight)
+        yield from self._answers.wait(0)
         yield from self._pause(self._settings.linger_s)
         for publisher in self._topics.publishers:
             self.get_logger().info(f"published {publisher.sent} on {publisher.topic}")
@@ -96,9 +89,9 @@ class PlayerNode(Node):
                 yield remaining_s
             if topic.lstrip("/") == image_topic:
                 before = time.monotonic()
-                yield from self._wait_for_answers(lambda: len(self._in_flight) < self._settings.window)
+                yield from self._answers.wait(self._settings.window - 1)
                 started += time.monotonic() - before
-                self._in_flight.sent(header_stamp_ns(data))
+                self._answers.in_flight.sent(header_stamp_ns(data))
             self._topics.publish(topic, log_time_ns, data)
             if time.monotonic() > said + 1.0:
                 said += 1.0
@@ -107,20 +100,10 @@ class PlayerNode(Node):
 
     def _say_progress(self, played_s: float) -> None:
         total_s = (self._bag.end_ns - self._bag.start_ns) / 1e9
-        answered, in_flight = self._in_flight.answered, len(self._in_flight)
+        waiting = self._answers.in_flight
         self.get_logger().info(
-            f"{played_s:.1f} of {total_s:.1f} s; {answered} images answered, {in_flight} in flight"
+            f"{played_s:.1f} of {total_s:.1f} s; {waiting.answered} images answered, {len(waiting)} in flight"
         )
-
-    def _wait_for_answers(self, enough: Callable[[], bool]) -> Iterator[float]:
-        self._answered_at = time.monotonic()
-        while not enough():
-            if time.monotonic() - self._answered_at > self._settings.acknowledge_timeout_s:
-                raise RgbdDicError(
-                    f"no answer within {self._settings.acknowledge_timeout_s:g} s: waiting for "
-                    f"{self._in_flight.oldest()}. Is its node running, and does it answer every image?"
-                )
-            yield STEP_S
 
     def _wait_for_connections(self) -> Iterator[float]:
         give_up = time.monotonic() + self._settings.match_timeout_s
@@ -133,40 +116,23 @@ class PlayerNode(Node):
             yield from self._pause(STEP_S)
 
     def _missing_connections(self) -> list[str]:
-        missing = [
+        return [
             f"{publisher.topic} has {publisher.matched} of {count} subscriptions"
             for publisher, count in self._needed
             if publisher.matched < count
-        ]
-        silent = [answer.topic_name for answer in self._answers if not answer.get_publisher_count()]
-        return missing + [f"{topic} has no publisher" for topic in silent]
+        ] + [f"{topic} has no publisher" for topic in self._answers.without_publisher()]
+
+    def _parse_needed(self, entry: str) -> tuple[WatchedPublisher, int]:
+        name, _, count = entry.strip().partition(" ")
+        if not count.strip().isdecimal():
+            raise SettingsError(f"wait_for_matched: '{entry}' is not understood; give 'NAME COUNT'")
+        return self._topics.publisher(name), int(count)
 
     def _pause(self, duration_s: float) -> Iterator[float]:
         end = time.monotonic() + duration_s
         while (remaining_s := end - time.monotonic()) > 0:
             self._topics.publish_clock()
             yield min(STEP_S, remaining_s)
-
-    def _subscribe(self, name: str, typename: str) -> Subscription:
-        def take(data: bytes) -> None:
-            if self._in_flight.acknowledged(name, header_stamp_ns(data)):
-                self._answered_at = time.monotonic()
-
-        qos = QoSProfile(depth=self._settings.queue_depth)
-        return self.create_subscription(message_class(typename), name, take, qos, raw=True)
-
-
-def _words(entry: str, form: str) -> tuple[str, str]:
-    words = entry.split()
-    if len(words) != 2:
-        raise SettingsError(f"'{entry}' is not understood; give {form}")
-    return words[0], words[1]
-
-
-def _whole(text: str) -> int:
-    if not text.isdecimal():
-        raise SettingsError(f"wait_for_matched: '{text}' is not a whole number")
-    return int(text)
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -76,7 +76,7 @@ def scene_regions(flight: Flight, time_s: float) -> dict[str, Any]:
             "point": _rounded(crack[0]),
             "direction": _rounded(direction, 6),
             "size": [round(camera.width / 8), round(camera.height / 3)],
-            "gap": round(2 * MARGIN_PX - 4 + panel.gap_m / footprint_m),
+            "gap": round(MARGIN_PX + panel.gap_m / 2 / footprint_m),
         },
     }
 

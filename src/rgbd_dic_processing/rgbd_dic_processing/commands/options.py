@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
 from pathlib import Path
 
 from rgbd_dic_acquisition.errors import RgbdDicError
 
-from ..core.crack import CrackOpening
 from ..core.displacement import SOLVERS
 from ..core.settings import ProcessingSettings, load_settings
-from ..results import Truth, compare
+from ..results import read_truth
+from ..runs import Run
+from ..summary import SUMMARY_NAME, summary
 
 NOTHING_VALID = 3
 
@@ -68,24 +68,11 @@ def required_file(given: Path | None, bag: Path, name: str) -> Path:
     return path
 
 
-def print_summary(openings: Sequence[CrackOpening], truth: Truth | None) -> int:
-    """Print what was measured, and how far it is from the truth; returns the exit code."""
-    methods = sorted({opening.method for opening in openings})
-    for method in methods:
-        mine = [opening for opening in openings if opening.method == method]
-        valid = [opening for opening in mine if opening.valid]
-        line = f"{method:7s} {len(valid)} of {len(mine)} frames valid"
-        if valid:
-            widest = max(valid, key=lambda opening: abs(opening.opening_m))
-            line += (
-                f", widest opening {widest.opening_m * 1e3:.4f} mm (standard uncertainty "
-                f"{widest.u_opening_m * 1e3:.4f} mm)"
-            )
-        print(line)
-    for comparison in compare(openings, truth) if truth is not None else ():
-        if comparison.valid:
-            print(
-                f"{comparison.method:7s} RMS error of the opening {comparison.rms_m * 1e3:.4f} mm over "
-                f"{comparison.valid} frames, mean error {comparison.error_m.mean() * 1e3:+.4f} mm"
-            )
-    return 0 if any(opening.valid for opening in openings) else NOTHING_VALID
+def finish(run: Run, folder: Path, copies: list[Path | None], truth_path: Path | None) -> int:
+    """Save a run with its summary, print the summary; returns the exit code."""
+    run.save(folder, [path for path in copies if path is not None])
+    text = summary(run, read_truth(truth_path) if truth_path else None)
+    (folder / SUMMARY_NAME).write_text(text)
+    print(text)
+    print(f"results: {folder}; figures and page: rgbd-dic report {folder}")
+    return 0 if any(opening.valid for opening in run.openings) or run.maps else NOTHING_VALID

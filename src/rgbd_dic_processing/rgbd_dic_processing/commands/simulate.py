@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 from typing import Any
 
 import yaml
 from rgbd_dic_acquisition.errors import SettingsError
-from tqdm import tqdm
+
+from .progress import progress
 
 
 def add_parser(commands: Any) -> None:
@@ -47,13 +47,13 @@ def run(options: argparse.Namespace) -> int:
         if value is not None:
             values[name] = value
     settings = FlightSettings.from_mapping(values, str(options.settings or "simulate"))
-    with tqdm(unit="exposure", file=sys.stderr, disable=None) as bar:
+    with progress(None, "exposure") as bar:
 
-        def progress(done: int, total: int) -> None:
+        def show(done: int, total: int) -> None:
             bar.total = total
             bar.update(done - bar.n)
 
-        summary = simulate_flight(settings, options.out, progress)
+        summary = simulate_flight(settings, options.out, show)
     print(f"{summary.path}: {sum(summary.counts.values())} messages")
     for topic, count in sorted(summary.counts.items()):
         print(f"  {count:6d}  {topic}")

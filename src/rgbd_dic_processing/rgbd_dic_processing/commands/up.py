@@ -14,7 +14,6 @@ import numpy as np
 from rgbd_dic_acquisition.bag import BagReader
 from rgbd_dic_acquisition.calibration import load_calibration
 from rgbd_dic_acquisition.errors import RgbdDicError
-from tqdm import tqdm
 
 from ..core.crack import CrackOpening
 from ..core.regions import load_regions
@@ -32,9 +31,10 @@ from ..graph import (
 )
 from ..processes import GraphProcesses
 from ..recorded import check_topics
-from ..results import CSV_NAME, read_truth
+from ..results import read_truth
 from ..runs import MapSelection, Run
-from .options import add_measurement, beside, measurement_settings, print_summary, required_file
+from .options import add_measurement, beside, finish, measurement_settings, required_file
+from .progress import progress
 
 QUIET_S = (
     5.0  # the graph has answered all it will when nothing was published for this long after the bag's end
@@ -78,7 +78,8 @@ def run(options: argparse.Namespace) -> int:
     if load_regions(files.regions).crack is None:
         raise RgbdDicError(f"{files.regions}: the graph needs an entry 'crack' (see docs/files.md)")
     truth_path = options.truth or (beside(options.bag, "truth.csv") if options.bag else None)
-    truth = read_truth(truth_path) if truth_path else None
+    if truth_path is not None:
+        read_truth(truth_path)  # a malformed one is refused before the flight, not after
     nodes = processing_nodes(files, settings, methods)
     if options.bag:
         with BagReader(options.bag) as bag:
@@ -91,14 +92,7 @@ def run(options: argparse.Namespace) -> int:
     nodes.append(recorder(output, tuple(dict.fromkeys((*topics, *all_topics(nodes))))))
     openings, facts = _run_graph(options, nodes, topics, methods, images)
     result = _collect(openings, output, settings, files, str(options.bag or "simulated sensors"), facts)
-    result.save(options.out, [p for p in (files.regions, files.calibration, truth_path) if p is not None])
-    code = print_summary(openings, truth)
-    for name, value in facts.items():
-        print(f"{name}: {value}")
-    print(
-        f"openings: {options.out / CSV_NAME}; recorded bag: {output}; figures: rgbd-dic report {options.out}"
-    )
-    return code
+    return finish(result, options.out, [files.regions, files.calibration, truth_path], truth_path)
 
 
 def _run_graph(
@@ -112,7 +106,7 @@ def _run_graph(
     from ..watch import GraphWatch
 
     answers = {method: opening_topic(method, methods) for method in methods}
-    with tqdm(total=images, unit="image", file=sys.stderr, disable=None) as bar:
+    with progress(images, "image") as bar:
 
         def show(opening: CrackOpening) -> None:
             if opening.method == methods[0]:
@@ -156,19 +150,24 @@ def _run_graph(
             except KeyboardInterrupt:
                 print("ending; what was measured is kept", file=sys.stderr)
             processes.check()
-    return watch.openings, _facts(watch.openings, methods, images)
+            took_s = watch.last_heard - watch.first_heard
+    return watch.openings, _facts(watch.openings, methods, images, took_s)
 
 
 def _over(options: argparse.Namespace, started: float) -> bool:
     return options.duration is not None and time.monotonic() - started > options.duration
 
 
-def _facts(openings: list[CrackOpening], methods: tuple[str, ...], images: int | None) -> dict[str, Any]:
-    """Frames, frames lost, latency of the first method."""
+def _facts(
+    openings: list[CrackOpening], methods: tuple[str, ...], images: int | None, took_s: float
+) -> dict[str, Any]:
+    """Images, frames lost, frame rate and latency of the first method."""
     answered = Counter(opening.method for opening in openings)
     facts: dict[str, Any] = {"images": images if images is not None else answered[methods[0]]}
     if images is not None:
         facts["frames lost"] = sum(images - answered[method] for method in methods)
+    if took_s > 0:
+        facts["frame rate [Hz]"] = round((answered[methods[0]] - 1) / took_s, 1)
     latencies = [opening.latency_s for opening in openings if opening.method == methods[0]]
     if latencies:
         median, high = np.percentile(latencies, (50, 99))

@@ -8,6 +8,7 @@ from rgbd_dic_acquisition.nodes.diagnostics import Diagnostics
 from rgbd_dic_acquisition.nodes.parameters import declare, declare_path
 from rgbd_dic_acquisition.nodes.ros_messages import latched_qos, make
 from rgbd_dic_acquisition.nodes.spinning import run
+
 from rgbd_dic_msgs.msg import DisplacementField as DisplacementFieldMessage
 from rgbd_dic_msgs.msg import FramePair, PlaneStamped, Reference, SubsetField
 

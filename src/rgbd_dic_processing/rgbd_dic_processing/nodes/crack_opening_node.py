@@ -12,6 +12,7 @@ from rgbd_dic_acquisition.nodes.diagnostics import Diagnostics
 from rgbd_dic_acquisition.nodes.parameters import declare, declare_path
 from rgbd_dic_acquisition.nodes.ros_messages import make
 from rgbd_dic_acquisition.nodes.spinning import run
+
 from rgbd_dic_msgs.msg import CrackOpening, DisplacementField
 
 from ..core.crack import CrackMeasurement

@@ -13,10 +13,11 @@ from rgbd_dic_acquisition.nodes.diagnostics import Diagnostics
 from rgbd_dic_acquisition.nodes.parameters import declare, declare_path
 from rgbd_dic_acquisition.nodes.ros_messages import QosSettings, image_qos, latched_qos, make
 from rgbd_dic_acquisition.nodes.spinning import run
-from rgbd_dic_msgs.msg import Reference as ReferenceMessage
-from rgbd_dic_msgs.msg import SubsetField as SubsetFieldMessage
 from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger
+
+from rgbd_dic_msgs.msg import Reference as ReferenceMessage
+from rgbd_dic_msgs.msg import SubsetField as SubsetFieldMessage
 
 from ..core.correlation import CorrelationSettings
 from ..core.regions import load_regions

@@ -8,8 +8,9 @@ from rgbd_dic_acquisition.nodes.diagnostics import Diagnostics
 from rgbd_dic_acquisition.nodes.parameters import declare
 from rgbd_dic_acquisition.nodes.ros_messages import make
 from rgbd_dic_acquisition.nodes.spinning import run
-from rgbd_dic_msgs.msg import FramePair as FramePairMessage
 from sensor_msgs.msg import CameraInfo
+
+from rgbd_dic_msgs.msg import FramePair as FramePairMessage
 
 from ..core.pairing import FramePair, FramePairing
 from ..core.settings import PairingSettings

@@ -10,9 +10,10 @@ from rgbd_dic_acquisition.nodes.diagnostics import Diagnostics
 from rgbd_dic_acquisition.nodes.parameters import declare, declare_path
 from rgbd_dic_acquisition.nodes.ros_messages import make
 from rgbd_dic_acquisition.nodes.spinning import run
+from sensor_msgs.msg import Image, PointCloud2
+
 from rgbd_dic_msgs.msg import PlaneStamped
 from rgbd_dic_msgs.msg import SubsetField as SubsetFieldMessage
-from sensor_msgs.msg import Image, PointCloud2
 
 from ..core.plane import PanelPlane, PlaneEstimate
 from ..core.regions import load_regions

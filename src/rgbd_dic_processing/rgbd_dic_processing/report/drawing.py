@@ -26,7 +26,7 @@ LINES = {
     "h_pose": {"color": BLUE, "linestyle": "-"},
     "h_3d": {"color": VERMILION, "linestyle": "--"},
     "h_2d": {"color": GREEN, "linestyle": "-."},
-    "pc_3d": {"color": PURPLE, "linestyle": ":"},
+    "pc_3d": {"color": PURPLE, "linestyle": ":", "linewidth": 1.7},
 }
 OTHER_LINE = {"color": ORANGE, "linestyle": (0, (5, 1, 1, 1, 1, 1))}
 TRUTH_LINE = {"color": BLACK, "alpha": 0.35, "linewidth": 4.0, "solid_capstyle": "butt"}

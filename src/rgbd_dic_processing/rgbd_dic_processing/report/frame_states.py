@@ -25,6 +25,8 @@ def draw_states(axes: Axes, methods: Sequence[Series], with_valid: bool) -> None
     """
     rows = states(methods, with_valid)
     end = max((series.time_s[-1] for series in methods), default=0.0)
+    frames = max((len(series.time_s) for series in methods), default=1)
+    thickness = float(np.clip(300 / frames, 1.0, 4.0))
     lane = 0.8 / max(len(methods), 1)
     for row, status in enumerate(rows):
         for place, series in enumerate(methods):
@@ -34,7 +36,7 @@ def draw_states(axes: Axes, methods: Sequence[Series], with_valid: bool) -> None
                 times = (np.unique((times / width).astype(int)) + 0.5) * width
             middle = row - 0.4 + (place + 0.5) * lane
             color = line_of(series.method)["color"]
-            axes.vlines(times, middle - lane * 0.45, middle + lane * 0.45, color=color, linewidth=1.0)
+            axes.vlines(times, middle - lane * 0.45, middle + lane * 0.45, color=color, linewidth=thickness)
     axes.set_yticks(range(len(rows)), [_label(status, methods) for status in rows])
     axes.set_ylim(len(rows) - 0.4, -0.6)
     axes.tick_params(axis="y", length=0)

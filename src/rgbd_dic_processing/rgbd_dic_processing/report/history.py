@@ -21,6 +21,7 @@ from .drawing import (
 )
 from .frame_states import draw_states, states
 from .series import Series
+from .summary import summarise
 
 NAME = "history.png"
 TIME_LABEL = "time since the first frame [s]"
@@ -31,6 +32,7 @@ def draw(methods: Sequence[Series], truth: Truth | None, folder: Path) -> list[P
     if not methods:
         return []
     compared = [series for series in methods if truth is not None and np.isfinite(series.error_mm).any()]
+    rms_mm = {line.method: line.rms_mm for line in summarise(methods, truth)}
     failures = len(states(methods, with_valid=False))
     heights = [3.2] + [0.25 + 0.28 * failures] * bool(failures) + [1.25] * len(compared)
     figure = new_figure(9.0, 0.6 + sum(heights) + 0.2 * len(heights))
@@ -42,7 +44,7 @@ def draw(methods: Sequence[Series], truth: Truth | None, folder: Path) -> list[P
         draw_states(panels[1], methods, with_valid=False)
         panels[1].set_title("frames that are not valid, for each method", loc="left")
     for axes, series in zip(panels[len(panels) - len(compared) :], compared, strict=True):
-        _draw_error(axes, series)
+        _draw_error(axes, series, rms_mm[series.method])
     panels[-1].set_xlabel(TIME_LABEL)
     end = max(series.time_s[-1] for series in methods)
     panels[0].set_xlim((-0.01 * end, 1.01 * end) if end > 0 else (-0.5, 0.5))
@@ -53,7 +55,7 @@ def _draw_openings(axes: Axes, methods: Sequence[Series]) -> None:
     known = next((series for series in methods if np.isfinite(series.truth_mm).any()), None)
     if known is not None:
         plot_values(axes, known.time_s, known.truth_mm, "truth", **TRUTH_LINE)
-    for series in methods:
+    for series in reversed(methods):  # the first method on top
         line = line_of(series.method)
         low, high = series.opening_mm - 2 * series.u_mm, series.opening_mm + 2 * series.u_mm
         plot_band(axes, series.time_s, low, high, line["color"])
@@ -63,7 +65,16 @@ def _draw_openings(axes: Axes, methods: Sequence[Series]) -> None:
     axes.axhline(0.0, color="0.6", linewidth=0.6, zorder=0)
     axes.set_ylabel("opening since the reference [mm]")
     axes.set_ylim(*_opening_range(methods))
-    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=len(methods) + 1)
+    lines, names = axes.get_legend_handles_labels()
+    truths = [i for i, name in enumerate(names) if name == "truth"]
+    order = truths + [names.index(series.method) for series in methods]
+    axes.legend(
+        [lines[i] for i in order],
+        [names[i] for i in order],
+        loc="lower center",
+        bbox_to_anchor=(0.5, 1.0),
+        ncols=6,
+    )
 
 
 def _opening_range(methods: Sequence[Series]) -> tuple[float, float]:
@@ -78,7 +89,7 @@ def _opening_range(methods: Sequence[Series]) -> tuple[float, float]:
     return low - margin, high + margin
 
 
-def _draw_error(axes: Axes, series: Series) -> None:
+def _draw_error(axes: Axes, series: Series, rms_mm: float) -> None:
     line, error = line_of(series.method), series.error_mm
     compared = np.isfinite(error)
     plot_band(axes, series.time_s, -2 * series.u_mm, 2 * series.u_mm, line["color"])
@@ -87,7 +98,8 @@ def _draw_error(axes: Axes, series: Series) -> None:
     reach = 1.15 * max(np.max(np.abs(error[compared])), np.percentile(2 * series.u_mm[compared], 95), 1e-6)
     axes.set_ylim(-reach, reach)
     axes.set_ylabel("error [mm]")
-    axes.set_title(f"{series.method}: measured less true opening", loc="left")
+    rms = f", RMS {rms_mm:.4f} mm" if np.isfinite(rms_mm) else ""
+    axes.set_title(f"{series.method}: measured less true opening{rms}", loc="left")
 
 
 def _caption(methods: Sequence[Series], compared: Sequence[Series]) -> str:

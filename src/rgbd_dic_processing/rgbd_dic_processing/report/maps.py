@@ -2,46 +2,126 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
-import matplotlib.patheffects as effects
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from ..core.displacement import DisplacementField
 from ..core.regions import Regions
 from ..runs import Run
-from .drawing import ORANGE, SKY, VERMILION, Picture, method_order, new_figure, save
+from .drawing import Picture, method_order, new_figure, save
+from .map_background import Background
+from .map_sides import Side, sides_of
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-LABEL_WORDS = {"widest": "at the widest opening", "last": "at the last valid frame"}
-NARROWEST_MM = 1e-4  # a colour range is not narrower, so that rounding does not look like displacement
+LABEL_WORDS = {"widest": "the widest opening", "last": "the last valid frame"}
 AXIS_WORDS = ("x, along the panel's x axis", "y, along the panel's y axis", "z, into the wall")
+NARROWEST_MM = 1e-4  # a colour range is not narrower, so that rounding does not look like displacement
+WIDTH_IN = 4.5  # of one map with its colour bar
 
 
 def draw(run: Run, regions: Regions | None, folder: Path) -> list[Picture]:
-    """Write a figure for each field of the run, but one only where two labels of a method mean the same frame."""
+    """Write a figure for each displacement field of the run."""
     pictures = []
-    start_ns = min((opening.stamp_ns for opening in run.openings), default=None)
-    if start_ns is None and run.reference is not None:
-        start_ns = run.reference.stamp_ns
     for method in method_order(run.maps):
-        drawn: dict[int, str] = {}
-        for label, field in run.maps[method].items():
-            drawn[field.stamp_ns] = (
-                f"{drawn[field.stamp_ns]}, which is also {words}"
-                if (words := LABEL_WORDS.get(label, label)) and field.stamp_ns in drawn
-                else words
-            )
-        labels = {field.stamp_ns: label for label, field in reversed(run.maps[method].items())}
-        for stamp_ns, label in reversed(labels.items()):
-            when = "" if start_ns is None else f", {(stamp_ns - start_ns) * 1e-9:.2f} s after the first frame"
-            path = folder / f"maps_{method}_{label}.png"
-            pictures.append(
-                _draw_field(run, regions, run.maps[method][label], drawn[stamp_ns] + when, path)
-            )
+        openings = {o.stamp_ns: o.opening_m * 1e3 for o in run.openings if o.method == method and o.valid}
+        for label, words, field in _distinct(run.maps[method], bool(openings)):
+            since = (field.stamp_ns - field.reference_stamp_ns) * 1e-9
+            title = f"{method} at {words}, {since:.2f} s after the reference"
+            if field.stamp_ns in openings:
+                title += f": opening {openings[field.stamp_ns]:.4f} mm"
+            pictures.append(_draw_field(run, regions, field, title, folder / f"maps_{method}_{label}.png"))
     return pictures
+
+
+def _distinct(
+    labelled: Mapping[str, DisplacementField], has_openings: bool
+) -> list[tuple[str, str, DisplacementField]]:
+    """(label, words, field) of each frame once, also where two labels mean the same; nothing is widest without a crack."""
+    labels_of: dict[int, list[str]] = {}
+    for label, field in labelled.items():
+        if has_openings or label != "widest" or len(labelled) == 1:
+            labels_of.setdefault(field.stamp_ns, []).append(label)
+    return [
+        (labels[0], " and ".join(LABEL_WORDS.get(label, label) for label in labels), labelled[labels[0]])
+        for labels in labels_of.values()
+    ]
+
+
+def _draw_field(
+    run: Run, regions: Regions | None, field: DisplacementField, title: str, path: Path
+) -> Picture:
+    sides = sides_of(regions, field)
+    neither = ~np.any([side.members for side in sides], axis=0)
+    shown = [0, 1] + [2] * bool(np.isfinite(field.displacement_m[:, 2]).any())
+    background = Background.of(run.reference, regions, field)
+    height = max(1.6, 0.72 * WIDTH_IN * background.aspect + 0.5)
+    figure = new_figure(WIDTH_IN * max(len(sides), 1.4), height * len(shown) + 0.9)
+    grid = figure.subplots(len(shown), len(sides), squeeze=False, sharex=True, sharey=True)
+    for row, axis in zip(grid, shown, strict=True):
+        for axes, side in zip(row, sides, strict=True):
+            _draw_map(axes, field, axis, side, neither, background)
+    for axes in grid[:, 0]:
+        axes.set_ylabel("y in the reference image [px]")
+    for axes in grid[-1]:
+        axes.set_xlabel("x in the reference image [px]")
+    figure.suptitle(title, fontsize=10)
+    figure.legend(handles=background.legend(bool(neither.any())), loc="outside lower center", ncols=5)
+    names = " and of the ".join(side.name for side in sides)
+    caption = f"Displacement [mm] since the reference, camera motion removed: {title}."
+    if len(sides) > 1:
+        caption += " Each side has a colour range of its own, from its 1st to its 99th percentile."
+    if neither.any():
+        caption += " Grey subsets touch the crack or lie before it, and belong to neither side."
+    alt = f"Maps of the {', '.join('xyz'[axis] for axis in shown)} displacement of the {names}: {title}."
+    return save(figure, path, caption, alt)
+
+
+def _draw_map(
+    axes: Axes, field: DisplacementField, axis: int, side: Side, neither: Mask, background: Background
+) -> None:
+    values = field.displacement_m[:, axis] * 1e3
+    known = values[side.members & np.isfinite(values)]
+    background.draw(axes)
+    if side.moves:
+        background.draw_neither(axes, neither)
+    background.draw_missing(axes, side.members & ~np.isfinite(values))
+    axes.set_title(f"{AXIS_WORDS[axis]}\n{side.name}: {_spread(known)}")
+    if not len(known):
+        return
+    low, high = _colour_range(known, not side.moves)
+    cells = axes.imshow(
+        background.on_grid(np.where(side.members, values, np.nan)),
+        extent=background.grid_extent,
+        cmap="viridis" if side.moves else "RdYlBu_r",
+        vmin=low,
+        vmax=high,
+        interpolation="nearest",
+        zorder=2,
+    )
+    beyond = {(False, False): "neither", (True, False): "min", (False, True): "max", (True, True): "both"}
+    extend = beyond[bool(known.min() < low), bool(known.max() > high)]
+    bar = axes.figure.colorbar(cells, ax=axes, extend=extend, shrink=0.9, pad=0.02)
+    bar.formatter.set_scientific(False)
+    bar.set_label(f"{'xyz'[axis]} displacement [mm]")
+
+
+def _spread(known: Array) -> str:
+    if not len(known):
+        return "no valid displacement"
+    spread = f", spread {known.std(ddof=1):.4f} mm" if len(known) > 1 else ""
+    return f"mean {round(known.mean(), 4) + 0.0:.4f} mm{spread}"
+
+
+def _colour_range(known: Array, around_zero: bool) -> tuple[float, float]:
+    """From the 1st to the 99th percentile [mm], so that single subsets do not hide the others; symmetric if wished."""
+    low, high = np.percentile(known, (1, 99))
+    if around_zero:
+        low, high = -max(-low, high), max(-low, high)
+    widen = max(NARROWEST_MM - (high - low), 0.0) / 2
+    return low - widen, high + widen

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.ticker import FormatStrFormatter
 
 from .drawing import (
     ORANGE,
@@ -30,7 +31,11 @@ def draw(methods: Sequence[Series], folder: Path) -> list[Picture]:
     if not methods:
         return []
     panels: list[tuple[float, str, Callable[[Axes, Sequence[Series]], None]]] = [
-        (0.25 + 0.28 * len(states(methods, with_valid=True)), "frames by state, for each method", _draw_states)
+        (
+            0.25 + 0.28 * len(states(methods, with_valid=True)),
+            "frames by state, for each method",
+            _draw_states,
+        )
     ]
     if _any_known(methods, "offset_ms"):
         panels.append((1.4, "time from the image to its ToF frame (positive: ToF later)", _draw_offset))
@@ -87,6 +92,7 @@ def _draw_uncertainty(axes: Axes, methods: Sequence[Series]) -> None:
             typical.append(np.nanmedian(u))
     if len(typical) > 1 and max(typical) > 5 * min(typical):
         axes.set_yscale("log")
+        axes.yaxis.set_major_formatter(FormatStrFormatter("%g"))
     else:
         axes.set_ylim(bottom=0.0)
     axes.set_ylabel("uncertainty [mm]")
@@ -107,7 +113,7 @@ def _draw_subsets(axes: Axes, methods: Sequence[Series]) -> None:
             plot_values(axes, series.time_s, getattr(series, name), side if series is first else "", **line)
     axes.set_ylim(bottom=0)
     axes.set_ylabel("subsets")
-    axes.legend(loc="lower right", ncols=2, title="zone" if same else "zone (colour: method)")
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
 
 
 def _draw_latency(axes: Axes, methods: Sequence[Series]) -> None:

@@ -1,0 +1,53 @@
+# `make demo` and `make test` are all that a newcomer needs; each does the set-up that is missing.
+SHELL := /bin/bash
+.DEFAULT_GOAL := help
+.PHONY: help setup build demo test test-slow lint format docs sample lock clean
+
+run := tools/run
+
+help:           ## what there is
+	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 22
+
+setup: .venv/.installed          ## virtual environment with pinned, hashed requirements
+.venv/.installed: requirements.txt tools/setup/environment.sh
+	@tools/setup/environment.sh && touch $@
+
+sources := $(shell find src -type f -not -path '*/__pycache__/*' -not -path '*/test/*')
+build: install/.built            ## the three packages, by colcon
+install/.built: .venv/.installed $(sources) $(wildcard tools/setup/*)
+	@tools/setup/build.sh && touch $@
+
+demo: build                      ## the sample bag through the node graph, with figures and a page
+	@rm -rf results/demo
+	@$(run) rgbd-dic up bags/sample --method all --as-fast-as-possible --domain 73 --out results/demo
+	@$(run) rgbd-dic report results/demo
+
+test: build                      ## all tests but the slow ones
+	@$(run) python -m pytest -m "not slow" $(PYTEST_ARGS)
+
+test-slow: build                 ## the slow tests too
+	@$(run) python -m pytest $(PYTEST_ARGS)
+
+lint: .venv/.installed           ## formatting and lint, as CI checks them
+	@.venv/bin/ruff format --check --quiet src test tools || { echo "not formatted: run make format"; exit 1; }
+	@.venv/bin/ruff check --quiet src test tools
+	@.venv/bin/clang-format --dry-run -Werror src/*/kernel/*.hpp src/*/kernel/*.cpp
+
+format: .venv/.installed         ## format all code
+	@.venv/bin/ruff format --quiet src test tools
+	@.venv/bin/ruff check --quiet --fix src test tools
+	@.venv/bin/clang-format -i src/*/kernel/*.hpp src/*/kernel/*.cpp
+
+docs: demo                       ## tables and figures of README and docs, from what the commands print now
+	@$(run) python tools/docs/regenerate.py
+
+sample: build                    ## bags/sample, anew
+	@rm -rf bags/sample
+	@$(run) rgbd-dic simulate --preset sample --out bags/sample
+
+lock:                            ## requirements.txt from requirements.in (needs uv)
+	UV_PYTHON_DOWNLOADS=never uv pip compile --universal --python-version 3.10 --generate-hashes \
+	  --no-emit-index-url --no-emit-find-links --no-annotate --no-header requirements.in -o requirements.txt
+
+clean:                           ## all that was built, but not the virtual environment
+	rm -rf build install log results

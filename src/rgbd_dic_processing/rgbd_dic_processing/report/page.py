@@ -1,0 +1,114 @@
+"""report.html: one page that needs no other file, for the screen and for paper."""
+
+from __future__ import annotations
+
+import base64
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path, PurePath
+from typing import Any
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+from ..core.settings import ProcessingSettings
+from ..results import Truth
+from ..runs import Run
+from .drawing import Picture
+from .series import Series
+from .summary import failures, summarise
+
+TEMPLATE = "page.html.j2"
+
+
+def write(
+    path: Path, run: Run, methods: Sequence[Series], truth: Truth | None, pictures: Sequence[Picture]
+) -> Path:
+    """Write the page and return its path."""
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters.update(number=_number, share=_share)
+    lines = summarise(methods, truth)
+    text = environment.get_template(TEMPLATE).render(
+        name=path.resolve().parent.name,
+        inputs={name: _without_folder(value) for name, value in run.inputs.items()},
+        facts=_flat(run.facts),
+        settings=_explained(run.settings),
+        versions=run.versions,
+        extent=_extent(methods),
+        has_fields=bool(run.maps),
+        compared=any(math.isfinite(line.worst_error_mm) for line in lines),
+        has_truth=truth is not None,
+        summary=lines,
+        failures=failures(methods),
+        pictures=[
+            {
+                "alt": picture.alt,
+                "caption": picture.caption,
+                "data": base64.b64encode(picture.path.read_bytes()).decode("ascii"),
+            }
+            for picture in pictures
+        ],
+    )
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def _extent(methods: Sequence[Series]) -> dict[str, Any]:
+    """Images that were measured and the time they span."""
+    stamps = {opening.stamp_ns for series in methods for opening in series.openings}
+    ordered = sorted(stamps)
+    return {
+        "frames": len(ordered),
+        "first_s": f"{ordered[0] // 10**9}.{ordered[0] % 10**9:09d}" if ordered else "",
+        "duration_s": (ordered[-1] - ordered[0]) * 1e-9 if ordered else 0.0,
+    }
+
+
+def _explained(settings: Mapping[str, Any]) -> dict[str, list[dict[str, Any]]]:
+    """Group -> its settings with unit and sentence, as far as this version knows them."""
+    known = ProcessingSettings.__dataclass_fields__
+    explained = {}
+    for group, values in settings.items():
+        fields = getattr(known[group].default_factory, "__dataclass_fields__", {}) if group in known else {}
+        rows = values.items() if isinstance(values, Mapping) else [("", values)]
+        explained[str(group)] = [
+            {
+                "name": name,
+                "value": value,
+                "unit": fields[name].metadata.get("unit", "") if name in fields else "",
+                "doc": fields[name].metadata.get("doc", "") if name in fields else "",
+            }
+            for name, value in rows
+        ]
+    return explained
+
+
+def _flat(facts: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
+    """Facts by a readable name; nested ones by their path, numbers with as many digits as mean something."""
+    flat: dict[str, str] = {}
+    for key, value in facts.items():
+        name = f"{prefix}{str(key).replace('_', ' ') if not prefix else key}"
+        if isinstance(value, Mapping):
+            flat.update(_flat(value, f"{name}: "))
+        else:
+            flat[name] = f"{value:.6g}" if isinstance(value, float) else _without_folder(str(value))
+    return flat
+
+
+def _without_folder(value: str) -> str:
+    """An absolute path tells about the computer, not about the measurement: only its last part is shown."""
+    path = PurePath(value)
+    return path.name if path.is_absolute() else str(value)
+
+
+def _number(value: float, digits: int) -> str:
+    return f"{round(value, digits) + 0.0:.{digits}f}" if math.isfinite(value) else "–"
+
+
+def _share(value: float) -> str:
+    return f"{100 * value:.0f} %" if math.isfinite(value) else "–"

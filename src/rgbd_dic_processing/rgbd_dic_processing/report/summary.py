@@ -1,0 +1,89 @@
+"""The numbers of the page: each method in one line, and why frames are not valid."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..core.status import FrameStatus
+from ..results import Truth, compare
+from .series import STATUS_WORDS, Series
+
+
+@dataclass(frozen=True)
+class MethodSummary:
+    """One method over the run; NaN where the run cannot tell.
+
+    rms_mm, mean_error_mm, worst_error_mm: error against the truth. within_2u: share of the compared frames whose error
+    is at most two stated standard uncertainties. widest_mm: the opening of largest size, with its sign.
+    """
+
+    method: str
+    frames: int
+    valid: int
+    rms_mm: float
+    mean_error_mm: float
+    worst_error_mm: float
+    within_2u: float
+    mean_u_mm: float
+    last_mm: float
+    widest_mm: float
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Frames of one method that share a status; `example` is the commonest reason given."""
+
+    method: str
+    words: str
+    count: int
+    first_s: float
+    example: str
+
+
+def summarise(methods: Sequence[Series], truth: Truth | None) -> list[MethodSummary]:
+    """One line for each method, in their order."""
+    return [_summary(series, truth) for series in methods]
+
+
+def failures(methods: Sequence[Series]) -> list[Failure]:
+    """Each status other than valid of each method, the most frequent first."""
+    found = []
+    for series in methods:
+        for status in sorted(set(series.status.tolist()) - {int(FrameStatus.OK)}):
+            where = np.flatnonzero(series.status == status)
+            reasons = Counter(series.openings[i].reason for i in where)
+            kinds = len(reasons)
+            example = reasons.most_common(1)[0][0] + (f" (and {kinds - 1} like it)" if kinds > 1 else "")
+            words = STATUS_WORDS.get(FrameStatus(status), FrameStatus(status).name)
+            found.append(Failure(series.method, words, len(where), float(series.time_s[where[0]]), example))
+        found.sort(key=lambda failure: -failure.count)
+    return found
+
+
+def _summary(series: Series, truth: Truth | None) -> MethodSummary:
+    opening = series.opening_mm[series.valid]
+    rms = mean = worst = within = math.nan
+    error = series.error_mm
+    compared = np.isfinite(error)
+    if truth is not None and compared.any():
+        rms = compare(series.openings, truth)[0].rms_m * 1e3
+        mean, worst = float(error[compared].mean()), float(np.abs(error[compared]).max())
+        within = float(np.mean(np.abs(error[compared]) <= 2 * series.u_mm[compared]))
+    u = series.u_mm[np.isfinite(series.u_mm)]
+    return MethodSummary(
+        series.method,
+        len(series.openings),
+        int(series.valid.sum()),
+        rms,
+        mean,
+        worst,
+        within,
+        float(u.mean()) if len(u) else math.nan,
+        float(opening[-1]) if len(opening) else math.nan,
+        float(opening[np.argmax(np.abs(opening))]) if len(opening) else math.nan,
+    )

@@ -1,0 +1,47 @@
+"""What the tests of the whole system share: a short flight, and bags with something wrong in them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rgbd_dic_acquisition.bag import BagReader, BagWriter
+from rgbd_dic_acquisition.simulator.flight import FlightSettings
+from rgbd_dic_acquisition.simulator.flight_bag import simulate_flight
+
+Edit = Callable[[str, int, Any], Any]
+
+
+@pytest.fixture(scope="session")
+def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Half a second of simulated flight: 30 images, 10 ToF frames, the crack opening as in the first half second."""
+    path = tmp_path_factory.mktemp("flight") / "short"
+    simulate_flight(FlightSettings.from_mapping({"duration_s": 0.5}), path)
+    return path
+
+
+@pytest.fixture
+def edited(flight: Path, tmp_path: Path) -> Callable[[Edit], Path]:
+    """Makes a copy of the flight in which `edit(topic, index on that topic, message)` changed the messages.
+
+    What it returns is written; None leaves the message out.
+    """
+
+    def make(edit: Edit) -> Path:
+        path = tmp_path / "edited"
+        with BagReader(flight) as source, BagWriter(path) as bag:
+            seen: dict[str, int] = {}
+            for topic, log_time_ns, message in source.messages():
+                index = seen.get(topic, 0)
+                seen[topic] = index + 1
+                changed = edit(topic, index, message)
+                if changed is not None:
+                    bag.add_topic(topic, source.topics[topic].type, transient_local=topic == "/tf_static")
+                    bag.write_message(topic, log_time_ns, changed)
+        for name in ("regions.yaml", "calibration.yaml"):
+            (path / name).write_text((flight / name).read_text())
+        return path
+
+    return make

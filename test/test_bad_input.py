@@ -1,0 +1,217 @@
+"""Everything that can be wrong with what a user gives: refused with the thing and the remedy named, or, for a bad
+frame inside a good bag, an invalid row with its reason while the run goes on."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from system import SAMPLE, rgbd_dic
+
+
+def refused(*arguments: str | Path) -> str:
+    """Run, expect a refusal; its message."""
+    done = rgbd_dic(*arguments)
+    assert done.returncode == 1, (done.returncode, done.stdout, done.stderr)
+    assert "Traceback" not in done.stderr
+    return done.stderr
+
+
+def rows(out: Path, method: str = "h_pose") -> list[dict[str, str]]:
+    with (out / "crack_opening.csv").open(newline="") as file:
+        return [row for row in csv.DictReader(file) if row["method"] == method]
+
+
+def regions_with(flight: Path, tmp_path: Path, **changes: object) -> Path:
+    content = yaml.safe_load((flight / "regions.yaml").read_text()) | changes
+    path = tmp_path / "regions.yaml"
+    path.write_text(yaml.safe_dump(content))
+    return path
+
+
+def test_not_mcap(tmp_path: Path) -> None:
+    path = tmp_path / "thesis.mcap"
+    path.write_bytes(b"%PDF-1.7" + bytes(1000))
+    message = refused("process", path, "--regions", SAMPLE / "regions.yaml", "--out", tmp_path / "out")
+    assert "thesis.mcap is not an MCAP file" in message and "give an MCAP bag" in message
+
+
+def test_missing_bag(tmp_path: Path) -> None:
+    assert "check the path" in refused("info", tmp_path / "nothing")
+
+
+def test_truncated(tmp_path: Path) -> None:
+    path = tmp_path / "cut.mcap"
+    path.write_bytes((SAMPLE / "sample_0.mcap").read_bytes()[:3_000_000])
+    message = refused("process", path, "--regions", SAMPLE / "regions.yaml", "--out", tmp_path / "out")
+    assert "cut.mcap is cut short" in message and "mcap recover" in message
+
+
+@pytest.mark.parametrize("command", ["process", "up"])
+def test_without_needed_topic(edited, tmp_path: Path, command: str) -> None:
+    bag = edited(lambda topic, index, message: None if topic == "/tof/depth/image_raw" else message)
+    message = refused(command, bag, "--out", tmp_path / "out")
+    assert "no topic tof/depth/image_raw" in message and "/camera/image_raw" in message
+
+
+def test_unknown_encoding(edited, tmp_path: Path) -> None:
+    """All images unreadable: the run ends with every row invalid, its reason in each, and exit code 3."""
+
+    def colour(topic, index, message):
+        return (
+            dataclasses.replace(message, encoding="bayer_rggb8") if topic == "/camera/image_raw" else message
+        )
+
+    done = rgbd_dic("process", edited(colour), "--out", tmp_path / "out")
+    assert done.returncode == 3, done.stderr
+    assert len(rows(tmp_path / "out")) == 30
+    assert {row["valid"] for row in rows(tmp_path / "out")} == {"0"}
+    assert all(
+        "BAD_IMAGE" in row["reason"] and "bayer_rggb8" in row["reason"] for row in rows(tmp_path / "out")
+    )
+
+
+def test_uncalibrated_camera_info(edited, tmp_path: Path) -> None:
+    def uncalibrated(topic, index, message):
+        return dataclasses.replace(message, k=np.zeros(9)) if topic == "/camera/camera_info" else message
+
+    bag = edited(uncalibrated)
+    (bag / "calibration.yaml").unlink()
+    message = refused("process", bag, "--out", tmp_path / "out")
+    assert "uncalibrated" in message and "calibration.yaml" in message
+    message = refused("up", bag, "--out", tmp_path / "up")
+    assert "no calibration.yaml" in message and "--calibration" in message
+
+
+def test_calibration_from_the_bag(flight: Path, edited, tmp_path: Path) -> None:
+    """Without calibration.yaml the camera_infos and /tf_static of the bag give the same numbers."""
+    bag = edited(lambda topic, index, message: message)
+    (bag / "calibration.yaml").unlink()
+    for source, out in ((flight, "with"), (bag, "without")):
+        assert rgbd_dic("process", source, "--out", tmp_path / out).returncode == 0
+    for mine, theirs in zip(rows(tmp_path / "with"), rows(tmp_path / "without"), strict=True):
+        assert float(mine["opening_mm"]) == pytest.approx(float(theirs["opening_mm"]), abs=1e-5)
+
+
+def test_regions_outside_the_image(flight: Path, tmp_path: Path) -> None:
+    path = regions_with(flight, tmp_path, panel=[[10, 10], [900, 10], [900, 300], [10, 300]])
+    message = refused("process", flight, "--regions", path, "--out", tmp_path / "out")
+    assert "panel has the point (900, 10), outside the image of 480 x 360 px" in message
+
+
+def test_zone_without_subsets(flight: Path, tmp_path: Path) -> None:
+    crack = {"point": [210, 187], "direction": [0, 1], "size": [2, 2], "gap": 3}
+    path = regions_with(flight, tmp_path, crack=crack)
+    message = refused("process", flight, "--regions", path, "--out", tmp_path / "out")
+    assert "zone holds no subset centre" in message and "smaller step" in message
+
+
+@pytest.mark.parametrize(
+    "changes, said",
+    [
+        ({"panel": [[1, 2]]}, "panel: expected at least 3 points"),
+        ({"crack": {"point": [1, 2]}}, "crack: give either left and right"),
+        ({"x_axis": [[1, 2], [1, 2]]}, "x_axis: expected two different points"),
+        ({"pannel": []}, "unknown entry pannel"),
+    ],
+)
+def test_malformed_regions(flight: Path, tmp_path: Path, changes: dict, said: str) -> None:
+    path = regions_with(flight, tmp_path, **changes)
+    message = refused("process", flight, "--regions", path, "--out", tmp_path / "out")
+    assert said in message and "regions.yaml" in message
+
+
+@pytest.mark.parametrize(
+    "text, said",
+    [
+        ("correlation: {subset_size: 30}", "must be odd"),
+        ("correlation: {min_zncc: 1.5}", "at most 1"),
+        ("plane: {min_points: many}", "expected int"),
+        ("compensation: {method: h_4d}", "choose one of h_pose"),
+        ("corelation: {}", "unknown group corelation"),
+        ("plane: {points: 3}", "unknown setting points"),
+    ],
+)
+def test_setting_out_of_range(flight: Path, tmp_path: Path, text: str, said: str) -> None:
+    path = tmp_path / "settings.yaml"
+    path.write_text(text)
+    message = refused("process", flight, "--settings", path, "--out", tmp_path / "out")
+    assert said in message and "settings.yaml" in message or "Settings." in message
+
+
+def test_bad_frames_inside_a_good_bag(edited, tmp_path: Path) -> None:
+    """Image 20 has another size, 23 too few bytes, 26 is black; ToF frame 2 is empty, 4 has an unknown encoding.
+
+    A method that needs the frame's own plane loses the images of the bad ToF frames; h_pose does not.
+    """
+
+    def spoil(topic, index, message):
+        if topic == "/camera/image_raw" and index == 20:
+            return dataclasses.replace(message, height=10, data=message.data[: 10 * message.step])
+        if topic == "/camera/image_raw" and index == 23:
+            return dataclasses.replace(message, data=message.data[:-7])
+        if topic == "/camera/image_raw" and index == 26:
+            return dataclasses.replace(message, data=np.zeros_like(message.data))
+        if topic == "/tof/depth/image_raw" and index == 2:
+            return dataclasses.replace(message, data=np.zeros_like(message.data))
+        if topic == "/tof/depth/image_raw" and index == 4:
+            return dataclasses.replace(message, encoding="yuv422")
+        return message
+
+    done = rgbd_dic("process", edited(spoil), "--method", "h_pose,h_3d", "--out", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    pose, rigid = rows(tmp_path / "out", "h_pose"), rows(tmp_path / "out", "h_3d")
+    invalid = {index: row["reason"] for index, row in enumerate(pose) if row["valid"] == "0"}
+    assert set(invalid) == {20, 23, 26}
+    assert "480 x 10 px" in invalid[20] and "must have" in invalid[23] and invalid[26].startswith("LOST")
+    assert all(row["opening_mm"] == "nan" for index, row in enumerate(pose) if index in invalid)
+    reasons = [
+        row["reason"] for index, row in enumerate(rigid) if index not in invalid and row["valid"] == "0"
+    ]
+    assert sum("no valid pixel" in reason for reason in reasons) == 3
+    assert sum("yuv422" in reason for reason in reasons) == 3
+    assert len(reasons) == 6
+
+
+def test_nan_depth(edited, tmp_path: Path) -> None:
+    """Depth in metres, all NaN: nothing has a plane, so no row is valid, and each says why."""
+
+    def nan(topic, index, message):
+        if topic != "/tof/depth/image_raw":
+            return message
+        data = np.full(message.height * message.width, np.nan, np.float32).tobytes()
+        return dataclasses.replace(
+            message, encoding="32FC1", step=4 * message.width, data=np.frombuffer(data, np.uint8)
+        )
+
+    done = rgbd_dic("process", edited(nan), "--out", tmp_path / "out")
+    assert done.returncode == 3, done.stderr
+    assert all(
+        "NO_REFERENCE_PLANE" in row["reason"] and "no valid pixel" in row["reason"]
+        for row in rows(tmp_path / "out")
+    )
+
+
+def test_no_depth_for_a_while(edited, tmp_path: Path) -> None:
+    """Three ToF frames in a row are missing: h_3d says so for the images between, h_pose goes on."""
+    bag = edited(
+        lambda topic, index, message: None if topic.startswith("/tof/depth") and 3 <= index < 6 else message
+    )
+    assert rgbd_dic("process", bag, "--method", "h_pose,h_3d", "--out", tmp_path / "out").returncode == 0
+    assert all(row["valid"] == "1" for row in rows(tmp_path / "out", "h_pose"))
+    missing = [row for row in rows(tmp_path / "out", "h_3d") if row["valid"] == "0"]
+    assert 8 <= len(missing) <= 10  # 200 ms without a ToF frame, of which 2 x 30 ms are near enough to one
+    assert all(
+        row["reason"].startswith("NO_DEPTH_FRAME") and row["depth_offset_s"] == "nan" for row in missing
+    )
+
+
+def test_recorded_bag_is_never_overwritten(flight: Path, tmp_path: Path) -> None:
+    """The output of an earlier run is never overwritten."""
+    (tmp_path / "out" / "bag").mkdir(parents=True)
+    message = refused("up", flight, "--out", tmp_path / "out")
+    assert "exists already" in message and "choose another --out" in message
