@@ -13,7 +13,7 @@ from urllib.parse import urlsplit
 from ..errors import SettingsError
 
 # At most this much is taken from a link at a time, so that a flood cannot hold up the rest of the node.
-READ_BYTES = 64 * 1024
+READ_BYTES = 16 * 1024
 FORMS = "udpin://HOST:PORT, udpout://HOST:PORT, tcp://HOST:PORT or serial:///dev/NAME:BAUD"
 
 

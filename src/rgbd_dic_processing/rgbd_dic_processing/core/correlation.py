@@ -95,6 +95,14 @@ class Correlation:
         """(M,) True where the subset was found."""
         return self.status == SubsetStatus.CONVERGED
 
+    def replaced(self, indices: NDArray, other: Correlation) -> Correlation:
+        """These rows taken from another correlation, in its order."""
+        columns = {}
+        for field in dataclasses.fields(self):
+            columns[field.name] = getattr(self, field.name).copy()
+            columns[field.name][indices] = getattr(other, field.name)
+        return Correlation(**columns)
+
 
 class Target:
     """An image made ready to be searched. Made by ReferenceSubsets.target()."""

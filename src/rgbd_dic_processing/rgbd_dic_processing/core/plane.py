@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 
 MSAC_POINTS = 1000  # points of the sample consensus; the fit after it takes all
 MSAC_TRIALS = 200
+LEAST_SIGMA_M = 1e-5  # no depth is believed to be better than this, not even a constant plane's
 VIEW_LIMIT_S = (
     0.25  # a ToF frame farther than this from every image has no view to carry the panel region into
 )
@@ -79,7 +80,7 @@ def fit_plane(points_m: Array, settings: PlaneSettings) -> tuple[Plane, NDArray[
     for _ in range(20):
         errors = depth_errors(pi)
         near = errors <= settings.max_residual_m
-        sigma = 1.4826 * np.median(errors[near]) + 1e-12
+        sigma = max(1.4826 * float(np.median(errors[near])), LEAST_SIGMA_M)
         weights = np.where(near, np.clip(1 - (errors / (4.685 * sigma)) ** 2, 0, None) ** 2, 0)
         refined = solve(slice(None), weights)
         if refined is None:
@@ -101,10 +102,13 @@ def fit_plane(points_m: Array, settings: PlaneSettings) -> tuple[Plane, NDArray[
         raise MeasurementError(
             f"plane residual {rms * 1e3:.1f} mm RMS is above {settings.max_residual_m * 1e3:.1f} mm"
         )
-    weighted = rays * (scale * weights)[:, None]
-    variance = np.sum(weights * residuals**2) / max(np.sum(weights) - 3, 1)
-    bread = np.linalg.inv(weighted.T @ (rays * scale[:, None]))
-    covariance = variance * bread @ (weighted.T @ weighted) @ bread
+    # Huber 1981, 7.6: the covariance of an M-estimate with psi(r) = r w(r), here Tukey's
+    u2 = np.square(residuals[inliers] / (4.685 * sigma))
+    slope = np.mean((1 - u2) * (1 - 5 * u2))
+    variance = np.sum(np.square(weights * residuals)) / max(inliers.sum() - 3, 1) / slope**2
+    variance = max(variance, LEAST_SIGMA_M**2)
+    design = rays[inliers] * scale[inliers, None]
+    covariance = variance * np.linalg.inv(design.T @ design)
     return Plane.from_inverse_depth(pi, covariance), inliers, rms
 
 

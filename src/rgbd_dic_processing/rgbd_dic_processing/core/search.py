@@ -1,15 +1,18 @@
-"""The initial guess: a homography reference -> image, predicted from the frames before or recovered by features."""
+"""The initial guess of each frame: predicted from the frames before, or recovered by matching features."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from enum import IntEnum
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 from rgbd_dic_acquisition.calibration import Camera
+from scipy.spatial import cKDTree
 
-from .correlation import ReferenceSubsets, SubsetStatus
+from .correlation import Correlation, ReferenceSubsets, SubsetStatus, Target
+from .features import FeatureMatcher
 from .geometry import SeedMaps, apply_homography
 from .settings import SearchSettings
 
@@ -25,11 +28,23 @@ class SeedSource(IntEnum):
     NONE = 3
 
 
-class HomographySearch:
+@dataclass(frozen=True)
+class Guess:
+    """Where the subsets are expected: a homography, and how far each one is away from it.
+
+    homography: (3, 3), reference -> image, ideal pixels. offsets_px: (N, 2), raw pixels: what the crack and the
+    deformation of the panel add.
+    """
+
+    homography: Array
+    offsets_px: Array
+
+
+class SubsetSearch:
     """Follows the panel from frame to frame, and finds it again when it was lost.
 
-    A guess is taken only if the DIC itself, run on a few spread subsets (probes), finds them where one homography
-    says. The probes also refine the guess, so that the full run starts a few hundredths of a pixel away.
+    A guess is taken only if the DIC itself, run on a few spread subsets (probes), finds enough of them there. The
+    probes also refine its homography, so that the full run starts a few hundredths of a pixel away.
     """
 
     def __init__(
@@ -37,48 +52,76 @@ class HomographySearch:
         image: NDArray[np.uint8],
         subsets: ReferenceSubsets,
         maps: SeedMaps,
-        centres_px: Array,
         camera: Camera,
         settings: SearchSettings,
     ):
         self._subsets, self._maps, self._camera, self._settings = subsets, maps, camera, settings
-        self._ideal = camera.undistort(centres_px)
-        self._probes = _spread(centres_px, settings.probes)
-        self._features = cv2.SIFT_create(nfeatures=settings.features)
-        low, high = centres_px.min(axis=0).astype(int), centres_px.max(axis=0).astype(int) + 1
-        mask = np.zeros(image.shape, np.uint8)
-        mask[low[1] : high[1], low[0] : high[0]] = 255
-        self._reference_features = self._features.detectAndCompute(image, mask)
+        self._centres = subsets.centres_px.astype(float)
+        self._ideal = camera.undistort(self._centres)
+        self._probes = _spread(self._centres, settings.probes)
+        self._features = FeatureMatcher(image, self._centres, settings.features)
+        self._neighbours = cKDTree(self._centres)
         self._history: list[tuple[int, Array]] = []
+        self._offsets = np.zeros_like(self._centres)
 
     def find(
-        self, stamp_ns: int, image: NDArray[np.uint8], target: object
-    ) -> tuple[Array | None, SeedSource]:
-        """The homography (3, 3) in ideal pixels and where it came from; None if the panel was not found."""
-        for guess in self._predictions(stamp_ns):
-            refined = self._confirm(target, guess)
+        self, stamp_ns: int, image: NDArray[np.uint8], target: Target
+    ) -> tuple[Guess | None, SeedSource]:
+        """The guess for an image and where it came from; None if the panel was not found."""
+        for homography in self._predictions(stamp_ns):
+            refined = self._confirm(target, Guess(homography, self._offsets))
             if refined is not None:
                 return refined, SeedSource.PREDICTION
         guess = self._match_features(image)
         refined = self._confirm(target, guess) if guess is not None else None
-        return (refined, SeedSource.FEATURES) if refined is not None else (None, SeedSource.NONE)
+        return refined, SeedSource.NONE if refined is None else SeedSource.FEATURES
 
-    def remember(self, stamp_ns: int, homography: Array) -> None:
-        """The frame's final homography, for the next prediction."""
+    def seeds(self, guess: Guess) -> Array:
+        """The seed maps (N, 2, 6) of a guess."""
+        seeds = self._maps.seeds(guess.homography)
+        seeds[:, :, 0] += guess.offsets_px
+        return seeds
+
+    def complete(self, target: Target, guess: Guess, moved: Correlation) -> Correlation:
+        """Try the subsets that were not found again, each from where its found neighbours are.
+
+        Repeated while that finds more; so a part that moved unlike the rest is filled in from its border. A subset
+        whose neighbours tell nothing new (within half a pixel of what was tried) is left alone.
+        """
+        tried = guess.offsets_px.copy()
+        around = self._neighbours.query_ball_point(self._centres, 1.5 * self._subsets.settings.step)
+        for _ in range(self._settings.rounds):
+            offsets = self._away(guess.homography, moved)
+            found = np.isfinite(offsets[:, 0])
+            missing = np.flatnonzero(
+                ~found & ~np.isin(moved.status, (SubsetStatus.LOW_TEXTURE, SubsetStatus.SKIPPED))
+            )
+            chosen = []
+            for index in missing:
+                near = offsets[[other for other in around[index] if found[other]]]
+                if len(near) and np.abs(np.median(near, axis=0) - tried[index]).max() > 0.5:
+                    tried[index] = np.median(near, axis=0)
+                    chosen.append(index)
+            if not chosen:
+                break
+            again = self._subsets.correlate(
+                target, self.seeds(Guess(guess.homography, tried)), np.array(chosen)
+            )
+            moved = moved.replaced(np.array(chosen), again)
+            if not np.any(again.valid):
+                break
+        return moved
+
+    def remember(self, stamp_ns: int, guess: Guess, moved: Correlation) -> None:
+        """Keep what was found, for the next prediction."""
+        homography = self._fit(np.column_stack([moved.x_px, moved.y_px]))
+        homography = guess.homography if homography is None else homography
         self._history = [*self._history[-1:], (stamp_ns, homography)]
-
-    def fit(self, moved_px: Array, chosen: NDArray[np.intp] | None = None) -> Array | None:
-        """The homography that most of the subsets (raw pixels (N, 2), NaN where not found) agree with, or None."""
-        source = self._ideal if chosen is None else self._ideal[chosen]
-        moved = self._camera.undistort(moved_px)
-        found = np.isfinite(moved).all(axis=1)
-        if found.sum() < 8:
-            return None
-        homography, agreed = cv2.findHomography(
-            source[found], moved[found], cv2.RANSAC, self._settings.max_residual_px
-        )
-        enough = homography is not None and agreed.sum() >= self._settings.min_found * len(source)
-        return homography / homography[2, 2] if enough else None
+        offsets = self._away(homography, moved)
+        found = np.isfinite(offsets[:, 0])
+        if found.any():
+            nearest = cKDTree(self._centres[found]).query(self._centres)[1]
+            self._offsets = offsets[found][nearest]
 
     def _predictions(self, stamp_ns: int) -> list[Array]:
         """The last homography plus its recent change, scaled by the time that passed; then the last one alone."""
@@ -90,31 +133,44 @@ class HomographySearch:
             return [last]
         return [last + (last - before) * (stamp_ns - last_ns) / (last_ns - before_ns), last]
 
-    def _confirm(self, target: object, guess: Array) -> Array | None:
-        moved = self._subsets.correlate(target, self._maps.seeds(guess), self._probes)
-        if np.mean(moved.status == SubsetStatus.CONVERGED) < self._settings.min_found:
+    def _confirm(self, target: Target, guess: Guess) -> Guess | None:
+        moved = self._subsets.correlate(target, self.seeds(guess), self._probes)
+        if np.mean(moved.valid) < self._settings.min_found:
             return None
-        return self.fit(np.column_stack([moved.x_px, moved.y_px]), self._probes)
+        homography = self._fit(
+            np.column_stack([moved.x_px, moved.y_px]) - guess.offsets_px[self._probes], self._probes
+        )
+        return None if homography is None else Guess(homography, guess.offsets_px)
 
-    def _match_features(self, image: NDArray[np.uint8]) -> Array | None:
-        points, descriptors = self._features.detectAndCompute(image, None)
-        reference_points, reference_descriptors = self._reference_features
-        if (
-            reference_descriptors is None
-            or descriptors is None
-            or min(len(points), len(reference_points)) < 8
-        ):
+    def _fit(self, moved_px: Array, chosen: NDArray[np.intp] | slice = slice(None)) -> Array | None:
+        """The homography that the largest part of the subsets (raw pixels, NaN where not found) agrees with."""
+        moved = self._camera.undistort(moved_px)
+        found = np.isfinite(moved).all(axis=1)
+        if found.sum() < 8:
             return None
-        matches = cv2.BFMatcher(cv2.NORM_L2).knnMatch(reference_descriptors, descriptors, k=2)
-        good = [pair[0] for pair in matches if len(pair) == 2 and pair[0].distance < 0.8 * pair[1].distance]
-        if len(good) < 8:
+        source = self._ideal[chosen][found]
+        homography, _ = cv2.findHomography(source, moved[found], cv2.RANSAC, self._settings.max_residual_px)
+        usable = homography is not None and np.isfinite(apply_homography(homography, self._ideal)).all()
+        return homography / homography[2, 2] if usable else None
+
+    def _away(self, homography: Array, moved: Correlation) -> Array:
+        """How far each subset is from where the homography alone puts it (N, 2) [px]; NaN where not found."""
+        expected = self._camera.distort(apply_homography(homography, self._ideal))
+        return np.column_stack([moved.x_px, moved.y_px]) - expected
+
+    def _match_features(self, image: NDArray[np.uint8]) -> Guess | None:
+        source, moved = self._features.match(image)
+        if len(source) < 8:
             return None
-        source = self._camera.undistort(np.array([reference_points[m.queryIdx].pt for m in good], float))
-        moved = self._camera.undistort(np.array([points[m.trainIdx].pt for m in good], float))
-        homography, _ = cv2.findHomography(source, moved, cv2.RANSAC, 3.0, maxIters=5000)
+        ideal = self._camera.undistort(source)
+        homography, _ = cv2.findHomography(
+            ideal, self._camera.undistort(moved), cv2.RANSAC, 3.0, maxIters=5000
+        )
         if homography is None or not np.isfinite(apply_homography(homography, self._ideal)).all():
             return None
-        return homography / homography[2, 2]
+        away = moved - self._camera.distort(apply_homography(homography, ideal))
+        near = cKDTree(source).query(self._centres, k=min(7, len(source)))[1]
+        return Guess(homography / homography[2, 2], np.median(away[near], axis=1))
 
 
 def _spread(centres_px: Array, count: int) -> NDArray[np.int32]:
@@ -124,6 +180,7 @@ def _spread(centres_px: Array, count: int) -> NDArray[np.int32]:
     cells = np.array([columns, max(round(count / columns), 1)])
     cell = np.minimum(((centres_px - low) / extent * cells).astype(int), cells - 1)
     middle = np.sum(np.square((centres_px - low) / extent * cells - cell - 0.5), axis=1)
-    order = np.lexsort([middle, cell[:, 0] + columns * cell[:, 1]])
-    _, first = np.unique((cell[:, 0] + columns * cell[:, 1])[order], return_index=True)
+    number = cell[:, 0] + columns * cell[:, 1]
+    order = np.lexsort([middle, number])
+    _, first = np.unique(number[order], return_index=True)
     return np.sort(order[first]).astype(np.int32)

@@ -25,11 +25,14 @@ class SearchSettings(Settings):
         0.5, low=0.1, high=1.0, doc="Share of the probes that must be found for a guess to be taken."
     )
     max_residual_px: float = setting(
-        1.0,
+        3.0,
         unit="px",
         low=0.1,
-        high=10.0,
-        doc="Distance within which a probe agrees with the common homography.",
+        high=100.0,
+        doc="Distance within which a subset agrees with the common homography.",
+    )
+    rounds: int = setting(
+        20, low=0, high=1000, doc="How often subsets that were not found are tried from their neighbours."
     )
     features: int = setting(
         2000, unit="features", low=100, high=20000, doc="Features matched when the prediction fails."

@@ -11,7 +11,7 @@ from rgbd_dic_acquisition.calibration import Camera
 from .correlation import CorrelationSettings, ReferenceSubsets, SubsetStatus
 from .geometry import SeedMaps
 from .regions import Regions
-from .search import HomographySearch, SeedSource
+from .search import Guess, SeedSource, SubsetSearch
 from .settings import SearchSettings
 from .status import FrameStatus
 
@@ -93,25 +93,25 @@ class SubsetTracking:
             self._take_reference(stamp_ns, image)
         target = self._subsets.target(image)
         if stamp_ns == self.reference.stamp_ns:
-            seed, source = np.eye(3), SeedSource.REFERENCE
+            guess, source = Guess(np.eye(3), np.zeros(self.reference.centres_px.shape)), SeedSource.REFERENCE
         else:
-            seed, source = self._search.find(stamp_ns, image, target)
-        if seed is None:
+            guess, source = self._search.find(stamp_ns, image, target)
+        if guess is None:
             return self._nothing(
                 stamp_ns, FrameStatus.LOST, "the reference pattern was not found in the image"
             )
-        moved = self._subsets.correlate(target, self._maps.seeds(seed))
-        moved_px = np.column_stack([moved.x_px, moved.y_px])
-        final = self._search.fit(moved_px)
-        self._search.remember(stamp_ns, seed if final is None else final)
+        moved = self._search.complete(
+            target, guess, self._subsets.correlate(target, self._search.seeds(guess))
+        )
+        self._search.remember(stamp_ns, guess, moved)
         return SubsetField(
             stamp_ns,
             self.reference.stamp_ns,
             FrameStatus.OK,
             "",
             source,
-            seed,
-            moved_px,
+            guess.homography,
+            np.column_stack([moved.x_px, moved.y_px]),
             np.column_stack([moved.sigma_x_px, moved.sigma_y_px]).astype(np.float32),
             moved.zncc,
             moved.iterations,
@@ -123,10 +123,8 @@ class SubsetTracking:
         self._regions.check(self._camera.width, self._camera.height, size, step)
         centres = self._regions.subset_centres(self._camera.width, self._camera.height, size, step)
         self._subsets = ReferenceSubsets(image, centres, self._correlation)
-        self._maps = SeedMaps(self._camera, centres, reach_px=size / 2)
-        self._search = HomographySearch(
-            image, self._subsets, self._maps, centres.astype(float), self._camera, self._search_settings
-        )
+        maps = SeedMaps(self._camera, centres, reach_px=size / 2)
+        self._search = SubsetSearch(image, self._subsets, maps, self._camera, self._search_settings)
         self.reference = Reference(stamp_ns, image, centres, size, step)
 
     def _nothing(self, stamp_ns: int, status: FrameStatus, reason: str) -> SubsetField:

@@ -24,9 +24,10 @@ def write_report(folder: Path, truth: Path | None = None) -> Path:
         The path of the page, which needs no other file.
 
     Raises:
-        RgbdDicError: if the folder is not a run's, a file in it cannot be read, or the report cannot be written.
+        RgbdDicError: if the folder is not that of a run, or a file of it cannot be read or written.
     """
-    from . import drawing, history, maps, page, quality, series  # matplotlib, only when a report is asked for
+    # matplotlib comes with these, and only when a report is asked for
+    from . import drawing, history, maps, page, quality, series
 
     folder = Path(folder)
     run = Run.load(folder)

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 DPI = 130
-STROKES = 1500  # a history of more frames is drawn as this many strokes, about one for each pixel of the figure's width
+STROKES = 1000  # a longer history is drawn as so many strokes, about one for each pixel of its width
 
-# Okabe and Ito's colours, told apart with every kind of colour vision; line styles tell them apart in grey print.
+# Okabe and Ito's colours are told apart with every kind of colour vision, the line styles also in grey print.
 BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
 BLUE, VERMILION, PURPLE = "#0072B2", "#D55E00", "#CC79A7"
 LINES = {
@@ -106,16 +106,35 @@ def envelope(time_s: Array, low: Array, high: Array) -> tuple[Array, Array, Arra
 
 
 def plot_values(axes: Axes, time_s: Array, values: Array, label: str = "", **line: Any) -> None:
-    """A history as a line that breaks where values are NaN; a value alone between two breaks becomes a dot."""
-    time_s, low, high = envelope(time_s, values, values)
-    if low is not high:
-        time_s, low = np.repeat(time_s, 2), np.column_stack([low, high]).ravel()
-    axes.plot(time_s, low, label=label or None, **line)
-    known = np.append(np.append(False, np.isfinite(low)), False)
-    alone = known[1:-1] & ~known[:-2] & ~known[2:]
-    if alone.any():
-        axes.plot(time_s[alone], low[alone], ".", color=line.get("color"), markersize=4)
+    """A history as a line that breaks where values are NaN; a value between two breaks becomes a dot."""
+    drawn_s, low, high = envelope(time_s, values, values)
+    if len(drawn_s) < len(time_s):
+        drawn_s, low = np.repeat(drawn_s, 2), np.column_stack([low, high]).ravel()
+        axes.plot([], [], label=label or None, **line)
+        axes.plot(
+            drawn_s,
+            low,
+            color=line.get("color"),
+            alpha=line.get("alpha", 0.75),
+            linewidth=line.get("linewidth", 1.2) / 2,
+        )
+    else:
+        axes.plot(drawn_s, low, label=label or None, **line)
+    alone = _alone(low)
+    axes.plot(drawn_s[alone], low[alone], ".", color=line.get("color"), markersize=4)
 
 
-def plot_band(axes: Axes, time_s: Array, low: Array, high: Array, color: str) -> None:
-    axes.fill_between(*envelope(time_s, low, high), color=color, alpha=0.2, linewidth=0)
+def plot_band(axes: Axes, time_s: Array, low: Array, high: Array, color: str, outlined: bool = False) -> None:
+    """A band that breaks where its limits are NaN; those of a frame between two breaks become a bar."""
+    drawn_s, low, high = envelope(time_s, low, high)
+    axes.fill_between(drawn_s, low, high, color=color, alpha=0.2, linewidth=0)
+    alone = _alone(low)
+    axes.vlines(drawn_s[alone], low[alone], high[alone], color=color, alpha=0.3, linewidth=3)
+    if outlined:
+        for limit in (low, high):
+            axes.plot(drawn_s, limit, color="0.2", linewidth=0.5, zorder=3)
+
+
+def _alone(values: Array) -> NDArray[np.bool_]:
+    known = np.concatenate([[False], np.isfinite(values), [False]])
+    return known[1:-1] & ~known[:-2] & ~known[2:]

@@ -1,4 +1,4 @@
-"""history.png: the opening over time with its uncertainty, the truth, the frames that failed, and the error."""
+"""history.png: the opening over time, its uncertainty and the truth; the frames that failed; the error."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def _draw_openings(axes: Axes, methods: Sequence[Series]) -> None:
         plot_band(axes, series.time_s, low, high, line["color"])
         plot_values(axes, series.time_s, series.opening_mm, series.method, **line)
     if not any(series.valid.any() for series in methods):
-        axes.text(0.5, 0.5, "no frame is valid", transform=axes.transAxes, ha="center", va="center")
+        axes.text(0.02, 0.95, "no frame is valid", transform=axes.transAxes, va="top")
     axes.axhline(0.0, color="0.6", linewidth=0.6, zorder=0)
     axes.set_ylabel("opening since the reference [mm]")
     axes.set_ylim(*_opening_range(methods))
@@ -78,7 +78,7 @@ def _draw_openings(axes: Axes, methods: Sequence[Series]) -> None:
 
 
 def _opening_range(methods: Sequence[Series]) -> tuple[float, float]:
-    """All openings and truths [mm], and nearly all bands: one frame with a huge uncertainty must not flatten the rest."""
+    """All openings and truths [mm] and nearly all bands: one huge uncertainty must not flatten the rest."""
     values = np.concatenate(
         [np.zeros(1)] + [v for series in methods for v in (series.opening_mm, series.truth_mm)]
     )
@@ -92,7 +92,7 @@ def _opening_range(methods: Sequence[Series]) -> tuple[float, float]:
 def _draw_error(axes: Axes, series: Series, rms_mm: float) -> None:
     line, error = line_of(series.method), series.error_mm
     compared = np.isfinite(error)
-    plot_band(axes, series.time_s, -2 * series.u_mm, 2 * series.u_mm, line["color"])
+    plot_band(axes, series.time_s, -2 * series.u_mm, 2 * series.u_mm, line["color"], outlined=True)
     plot_values(axes, series.time_s, error, **line)
     axes.axhline(0.0, color="0.6", linewidth=0.6, zorder=0)
     reach = 1.15 * max(np.max(np.abs(error[compared])), np.percentile(2 * series.u_mm[compared], 95), 1e-6)

@@ -1,4 +1,4 @@
-"""What lies under and around a displacement map: the dimmed reference image, the outlines, the grid of subsets."""
+"""What lies under and around a displacement map: the dimmed reference image, the outlines, the grid."""
 
 from __future__ import annotations
 
@@ -63,14 +63,12 @@ class Background:
 
     @property
     def grid_extent(self) -> tuple[float, float, float, float]:
-        low, high = (
-            self.centres_px.min(axis=0) - self.step_px / 2,
-            self.centres_px.max(axis=0) + self.step_px / 2,
-        )
+        half = self.step_px / 2
+        low, high = self.centres_px.min(axis=0) - half, self.centres_px.max(axis=0) + half
         return low[0], high[0], high[1], low[1]
 
     def on_grid(self, values: Array) -> Array:
-        """Values (N,) of the subsets as an image of one cell each (rows, cols), NaN where there is no subset."""
+        """Values (N,) as an image of one cell for each subset (rows, cols), NaN where there is none."""
         cells = np.round((self.centres_px - self.centres_px.min(axis=0)) / self.step_px).astype(int)
         grid = np.full(cells.max(axis=0)[::-1] + 1, np.nan)
         grid[cells[:, 1], cells[:, 0]] = values
@@ -95,11 +93,12 @@ class Background:
             grey = self.on_grid(np.where(neither, 0.5, np.nan))
             axes.imshow(grey, extent=self.grid_extent, cmap="gray", vmin=0, vmax=0.5 / NEITHER, zorder=2)
 
-    def legend(self, with_neither: bool) -> list[Artist]:
+    def legend(self, with_neither: bool, with_missing: bool) -> list[Artist]:
         drawn = dict.fromkeys(name for name, _ in self.outlines)
         lines = [Line2D([], [], label=name, **OUTLINES[name]) for name in drawn]
         grey = [Patch(color=str(NEITHER), label="on neither side")] * with_neither
-        return [*lines, *grey, Line2D([], [], label="without a valid displacement", **MISSING)]
+        cross = [Line2D([], [], label="without a valid displacement", **MISSING)] * with_missing
+        return [*lines, *grey, *cross]
 
 
 def _outlines(regions: Regions | None) -> tuple[tuple[str, Array], ...]:

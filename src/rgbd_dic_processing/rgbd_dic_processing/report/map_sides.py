@@ -1,4 +1,4 @@
-"""Which subsets belong to the fixed region and which move: two maps, for their displacements differ in size."""
+"""Which subsets belong to the fixed region and which move: their displacements differ in size."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ class Side:
 def sides_of(regions: Regions | None, field: DisplacementField) -> list[Side]:
     """The fixed region and the rest, or all of the panel where nothing is drawn as fixed.
 
-    Where the crack is known, only what lies wholly beyond it is the moving part: a subset that touches the crack
-    measures neither side, and one between the crack and the fixed region has no reason to move.
+    Where the crack is known, only what lies wholly beyond it is the moving part: a subset that touches the
+    crack measures neither side, and one between the crack and the fixed region has no reason to move.
     """
     everything = np.ones(len(field.centres_px), bool)
     if regions is None or not regions.fixed:

@@ -1,7 +1,8 @@
-"""maps_<method>_<label>.png: displacement of every subset on the reference image (thesis Figures 2.5 and 2.6)."""
+"""maps_<method>_<label>.png: displacement of every subset on the reference image (thesis Figure 2.5, 2.6)."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -42,7 +43,7 @@ def draw(run: Run, regions: Regions | None, folder: Path) -> list[Picture]:
 def _distinct(
     labelled: Mapping[str, DisplacementField], has_openings: bool
 ) -> list[tuple[str, str, DisplacementField]]:
-    """(label, words, field) of each frame once, also where two labels mean the same; nothing is widest without a crack."""
+    """(label, words, field) of each frame, once if two labels mean it; without a crack nothing is widest."""
     labels_of: dict[int, list[str]] = {}
     for label, field in labelled.items():
         if has_openings or label != "widest" or len(labelled) == 1:
@@ -61,21 +62,22 @@ def _draw_field(
     shown = [0, 1] + [2] * bool(np.isfinite(field.displacement_m[:, 2]).any())
     background = Background.of(run.reference, regions, field)
     height = max(1.6, 0.72 * WIDTH_IN * background.aspect + 0.5)
-    figure = new_figure(WIDTH_IN * max(len(sides), 1.4), height * len(shown) + 0.9)
-    grid = figure.subplots(len(shown), len(sides), squeeze=False, sharex=True, sharey=True)
-    for row, axis in zip(grid, shown, strict=True):
-        for axes, side in zip(row, sides, strict=True):
-            _draw_map(axes, field, axis, side, neither, background)
-    for axes in grid[:, 0]:
-        axes.set_ylabel("y in the reference image [px]")
-    for axes in grid[-1]:
-        axes.set_xlabel("x in the reference image [px]")
+    maps = [(axis, side) for axis in shown for side in sides]
+    rows = math.ceil(len(maps) / 2)
+    figure = new_figure(2 * WIDTH_IN, height * rows + 0.9)
+    for place, (axis, side) in enumerate(maps):
+        axes = figure.add_subplot(rows, 2, place + 1)
+        _draw_map(axes, field, axis, side, neither, background)
+        axes.set_ylabel("y in the reference image [px]" if place % 2 == 0 else "")
+        axes.set_xlabel("x in the reference image [px]" if place + 2 >= len(maps) else "")
     figure.suptitle(title, fontsize=10)
-    figure.legend(handles=background.legend(bool(neither.any())), loc="outside lower center", ncols=5)
+    missing = ~neither & ~np.isfinite(field.displacement_m[:, shown]).all(axis=1)
+    handles = background.legend(bool(neither.any()), bool(missing.any()))
+    figure.legend(handles=handles, loc="outside lower center", ncols=5)
     names = " and of the ".join(side.name for side in sides)
     caption = f"Displacement [mm] since the reference, camera motion removed: {title}."
-    if len(sides) > 1:
-        caption += " Each side has a colour range of its own, from its 1st to its 99th percentile."
+    own = "Each side has a colour range of its own, " if len(sides) > 1 else "The colours range "
+    caption += f" {own}from the 1st to the 99th percentile."
     if neither.any():
         caption += " Grey subsets touch the crack or lie before it, and belong to neither side."
     alt = f"Maps of the {', '.join('xyz'[axis] for axis in shown)} displacement of the {names}: {title}."
@@ -94,7 +96,7 @@ def _draw_map(
     axes.set_title(f"{AXIS_WORDS[axis]}\n{side.name}: {_spread(known)}")
     if not len(known):
         return
-    low, high = _colour_range(known, not side.moves)
+    low, high = _colour_range(known, around_zero=not side.moves)
     cells = axes.imshow(
         background.on_grid(np.where(side.members, values, np.nan)),
         extent=background.grid_extent,
@@ -119,7 +121,7 @@ def _spread(known: Array) -> str:
 
 
 def _colour_range(known: Array, around_zero: bool) -> tuple[float, float]:
-    """From the 1st to the 99th percentile [mm], so that single subsets do not hide the others; symmetric if wished."""
+    """From the 1st to the 99th percentile [mm], so that single subsets do not hide the others."""
     low, high = np.percentile(known, (1, 99))
     if around_zero:
         low, high = -max(-low, high), max(-low, high)

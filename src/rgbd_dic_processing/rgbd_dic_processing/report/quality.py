@@ -1,4 +1,4 @@
-"""quality.png: what each frame's measurement rests on: validity, ToF pairing, uncertainty, subsets, latency."""
+"""quality.png: what each frame rests on: validity, ToF pairing, uncertainty, subsets, latency."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import FormatStrFormatter
+from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
 from .drawing import (
     ORANGE,
@@ -83,7 +83,7 @@ def _draw_offset(axes: Axes, methods: Sequence[Series]) -> None:
 
 
 def _draw_uncertainty(axes: Axes, methods: Sequence[Series]) -> None:
-    """Zero, which the reference itself has, is left out: the scale is logarithmic where the methods lie far apart."""
+    """On a logarithmic scale where the methods lie far apart; zero, which the reference has, is left out."""
     typical = []
     for series in methods:
         u = np.where(series.u_mm > 0, series.u_mm, np.nan)
@@ -92,7 +92,9 @@ def _draw_uncertainty(axes: Axes, methods: Sequence[Series]) -> None:
             typical.append(np.nanmedian(u))
     if len(typical) > 1 and max(typical) > 5 * min(typical):
         axes.set_yscale("log")
+        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axes.yaxis.set_major_formatter(FormatStrFormatter("%g"))
+        axes.yaxis.set_minor_formatter(NullFormatter())
     else:
         axes.set_ylim(bottom=0.0)
     axes.set_ylabel("uncertainty [mm]")
@@ -110,8 +112,10 @@ def _draw_subsets(axes: Axes, methods: Sequence[Series]) -> None:
         for series in methods[:1] if same else methods:
             line = {"linewidth": 1.4, "linestyle": style}
             line["color"] = color if same else line_of(series.method)["color"]
-            plot_values(axes, series.time_s, getattr(series, name), side if series is first else "", **line)
-    axes.set_ylim(bottom=0)
+            plot_values(axes, series.time_s, getattr(series, name), **line)
+        axes.plot([], [], linestyle=style, color=color if same else "0.3", label=f"{side} zone")
+    most = max(np.nanmax([0, *series.n_left, *series.n_right]) for series in methods)
+    axes.set_ylim(0, 1.1 * most)
     axes.set_ylabel("subsets")
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
 

@@ -35,7 +35,8 @@ class Series:
     """One method over the n frames of a run, ordered by time; NaN where a frame has no value.
 
     time_s: since the first frame of the run. opening_mm, u_mm: opening and its standard uncertainty (k = 1).
-    truth_mm: true opening since the reference. n_left, n_right: subsets used in each zone. status: FrameStatus.
+    truth_mm: true opening since the reference. n_left, n_right: subsets used in each zone. offset_ms: from
+    the image to its ToF frame. latency_ms: from the arrival of the image to its opening. status: FrameStatus.
     """
 
     method: str
@@ -71,7 +72,7 @@ def of_run(openings: Sequence[CrackOpening], truth: Truth | None) -> list[Series
 
 
 def true_opening_mm(stamps_ns: NDArray[np.int64], truth: Truth) -> Array:
-    """True opening at each stamp, less that at the first stamp which the truth holds; NaN at stamps it lacks."""
+    """True opening at each stamp less that at the first which the truth holds; NaN at stamps it lacks."""
     index = {int(stamp): i for i, stamp in enumerate(truth.stamps_ns)}
     rows = np.array([index.get(int(stamp), -1) for stamp in stamps_ns], int)
     if np.all(rows < 0):

@@ -18,8 +18,8 @@ from .series import STATUS_WORDS, Series
 class MethodSummary:
     """One method over the run; NaN where the run cannot tell.
 
-    rms_mm, mean_error_mm, worst_error_mm: error against the truth. within_2u: share of the compared frames whose error
-    is at most two stated standard uncertainties. widest_mm: the opening of largest size, with its sign.
+    rms_mm, mean_error_mm, worst_error_mm: error against the truth. within_2u: share of the compared frames
+    whose error is at most two stated standard uncertainties. widest_mm: the largest opening, with its sign.
     """
 
     method: str

@@ -1,0 +1,161 @@
+"""The panel's plane from noisy ToF points with outliers, in the right part of the view."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from rgbd_dic_acquisition.calibration import Calibration, Camera
+from rgbd_dic_acquisition.errors import MeasurementError
+from rgbd_dic_processing.core.geometry import Plane, plane_homography
+from rgbd_dic_processing.core.plane import PanelPlane, PlaneMotion, fit_plane
+from rgbd_dic_processing.core.settings import PlaneSettings
+from rgbd_dic_processing.core.status import FrameStatus
+from scipy.spatial.transform import Rotation
+
+TOF = Camera(160, 120, 130.0, 131.0, 79.5, 59.5)
+CAMERA = Camera(480, 360, 820.0, 825.0, 239.5, 179.5, -0.05, 0.0)
+TRUE = Plane.from_inverse_depth(np.array([0.12, -0.2, 0.8]))
+
+
+def rays(camera: Camera) -> np.ndarray:
+    x, y = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+    return camera.rays(np.column_stack([x.ravel(), y.ravel()]).astype(float))
+
+
+def noisy_points(random: np.random.Generator, sigma_m: float = 0.005) -> np.ndarray:
+    points = TRUE.points(rays(TOF)[::5])
+    return points * (1 + random.normal(0, sigma_m, len(points)) / points[:, 2])[:, None]
+
+
+def test_exact_points_give_the_exact_plane() -> None:
+    plane, inliers, rms = fit_plane(TRUE.points(rays(TOF)), PlaneSettings())
+    np.testing.assert_allclose(plane.normal, TRUE.normal, atol=1e-9)
+    assert plane.d == pytest.approx(TRUE.d, abs=1e-9)
+    assert inliers.all() and rms < 1e-9
+
+
+def test_covariance_is_honest() -> None:
+    """Over 200 noisy clouds with a tenth of outliers: the normalised squared error is chi^2 of 3 degrees; its mean
+    over 200 has a standard deviation of 0.17."""
+    random = np.random.default_rng(2)
+    chi2 = []
+    for _ in range(200):
+        points = noisy_points(random)
+        outliers = random.random(len(points)) < 0.1
+        points[outliers] *= random.uniform(0.5, 1.5, (outliers.sum(), 1))
+        plane, _, _ = fit_plane(points, PlaneSettings())
+        error = plane.inverse_depth - TRUE.inverse_depth
+        chi2.append(error @ np.linalg.solve(plane.inverse_depth_covariance(), error))
+    assert np.mean(chi2) == pytest.approx(3, abs=0.5)
+
+
+def test_a_third_of_the_points_on_an_object_in_front() -> None:
+    random = np.random.default_rng(3)
+    points = noisy_points(random)
+    points[: len(points) // 3] *= 0.7
+    plane, inliers, rms = fit_plane(points, PlaneSettings())
+    assert np.degrees(np.arccos(plane.normal @ TRUE.normal)) < 0.1
+    assert plane.d == pytest.approx(TRUE.d, abs=2e-3)
+    assert not inliers[: len(points) // 3].any()
+    assert rms == pytest.approx(0.005, rel=0.1)
+
+
+def test_no_common_plane_is_refused() -> None:
+    random = np.random.default_rng(4)
+    with pytest.raises(MeasurementError, match="lie on one plane"):
+        fit_plane(rays(TOF) * random.uniform(0.5, 3, (TOF.width * TOF.height, 1)), PlaneSettings())
+
+
+def panel_depth(plane: Plane, behind_m: float = 0.6) -> np.ndarray:
+    """ToF depth image of a panel before a wall behind it."""
+    grid = rays(TOF)
+    depth = plane.depths(grid)
+    points = grid * depth[:, None]
+    panel = (np.abs(points[:, 0]) < 0.35) & (np.abs(points[:, 1]) < 0.3)
+    return np.where(panel, depth, depth + behind_m).reshape(TOF.height, TOF.width).astype(np.float32)
+
+
+def square_plane() -> Plane:
+    return Plane.from_inverse_depth(np.array([0.0, 0, 1 / 1.2]))
+
+
+PANEL_PX = np.array([(130.0, 100), (350, 100), (350, 260), (130, 260)])
+
+
+def test_region_is_carried_into_the_view() -> None:
+    """The panel seen after the camera turned by 9 degrees: with the homography its plane is found, without it the
+    region holds the wall as well."""
+    calibration = Calibration(CAMERA, TOF)
+    R = Rotation.from_euler("y", 9, degrees=True).as_matrix()
+    reference = square_plane()
+    moved = reference.moved(R, np.zeros(3))
+    grid = rays(TOF)
+    panel = reference.points(grid @ R)  # the rays, back in the reference frame
+    inside = (np.abs(panel[:, 0]) < 0.18) & (np.abs(panel[:, 1]) < 0.14)
+    depth = np.where(inside, moved.depths(grid), 2.5).reshape(TOF.height, TOF.width).astype(np.float32)
+
+    step = PanelPlane(calibration, PANEL_PX, PlaneSettings())
+    step.add_view(1, plane_homography(CAMERA, R, np.zeros(3), reference))
+    (right,) = step.add_depth(1, depth)
+    assert right.status == FrameStatus.OK and right.inliers == right.points > 400
+    np.testing.assert_allclose(right.plane.normal, moved.normal, atol=1e-6)
+
+    step = PanelPlane(calibration, PANEL_PX, PlaneSettings())
+    step.add_view(1, np.eye(3))
+    (wrong,) = step.add_depth(1, depth)
+    assert wrong.inliers < wrong.points
+
+
+def test_extrinsics() -> None:
+    R = Rotation.from_euler("xyz", (3, -2, 5), degrees=True).as_matrix()
+    t = np.array([-0.026, -0.067, 0.061])
+    in_tof = square_plane()
+    step = PanelPlane(Calibration(CAMERA, TOF, R, t), PANEL_PX, PlaneSettings())
+    step.add_view(5, np.eye(3))
+    (estimate,) = step.add_depth(5, panel_depth(in_tof))
+    expected = in_tof.moved(R, t)
+    np.testing.assert_allclose(estimate.plane.normal, expected.normal, atol=1e-6)
+    assert estimate.plane.d == pytest.approx(expected.d, abs=1e-6)
+
+
+def test_waits_for_the_view_nearest_in_time() -> None:
+    step = PanelPlane(Calibration(CAMERA, TOF), PANEL_PX, PlaneSettings())
+    assert step.add_view(100, np.eye(3)) == []
+    assert step.add_depth(110, panel_depth(square_plane())) == []
+    assert len(step.add_view(117, None)) == 1  # the nearest view is 117, in which the panel was lost
+    step.add_depth(120, panel_depth(square_plane()))
+    (late,) = step.flush()
+    assert late.status == FrameStatus.NO_PLANE and "in which the panel was found" in late.reason
+
+
+def test_bad_depth_frames_say_why() -> None:
+    step = PanelPlane(Calibration(CAMERA, TOF), PANEL_PX, PlaneSettings())
+    step.add_view(9, np.eye(3))
+    empty = np.full((TOF.height, TOF.width), np.nan, np.float32)
+    (nothing,) = step.add_depth(1, empty)
+    (wrong_size,) = step.add_depth(2, empty[:50])
+    (unread,) = step.add_depth(3, None, "encoding 'yuv422'")
+    few = empty.copy()
+    few[55:60, 75:80] = 1.2
+    (too_few,) = step.add_depth(4, few)
+    assert [e.status for e in (nothing, wrong_size, unread, too_few)] == [
+        FrameStatus.BAD_DEPTH,
+        FrameStatus.BAD_DEPTH,
+        FrameStatus.BAD_DEPTH,
+        FrameStatus.NO_PLANE,
+    ]
+    assert "no valid pixel" in nothing.reason and "160 x 50 px" in wrong_size.reason
+    assert "yuv422" in unread.reason and "25 ToF points" in too_few.reason
+
+
+def test_plane_is_less_certain_away_from_its_frame() -> None:
+    """A plane that tilts by 0.02 /(m s): 10 ms later it is uncertain by 2e-4 in that component, not at once."""
+    motion, tight = PlaneMotion(), 1e-12 * np.eye(3)
+    rate = np.array([0.02, 0, 0])
+    for stamp in (0, 50_000_000):
+        pi = np.array([0, 0, 0.8]) + rate * stamp * 1e-9
+        now = motion.at_image(Plane.from_inverse_depth(pi, tight), stamp, stamp)
+    later = motion.at_image(Plane.from_inverse_depth(pi, tight), 50_000_000, 60_000_000)
+    np.testing.assert_allclose(now.inverse_depth_covariance(), tight, atol=1e-15)
+    assert np.sqrt(later.inverse_depth_covariance()[0, 0]) == pytest.approx(2e-4, rel=1e-3)
+    np.testing.assert_allclose(later.inverse_depth, pi, rtol=1e-12)
