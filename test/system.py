@@ -12,9 +12,7 @@ SAMPLE = ROOT / "bags" / "sample"
 
 def rgbd_dic(*arguments: str | Path, timeout_s: float = 200) -> subprocess.CompletedProcess[str]:
     """Run the tool as a user would; its output is text."""
-    environment = {
-        name: value for name, value in os.environ.items() if name != "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
-    }
+    environment = {name: value for name, value in os.environ.items() if name != "_ROS_WHEELS_BOOTSTRAP_COMPLETE"}
     return subprocess.run(
         ["rgbd-dic", *map(str, arguments)], capture_output=True, text=True, timeout=timeout_s, env=environment
     )

@@ -62,17 +62,13 @@ def test_unknown_encoding(edited, tmp_path: Path) -> None:
     """All images unreadable: the run ends with every row invalid, its reason in each, and exit code 3."""
 
     def colour(topic, index, message):
-        return (
-            dataclasses.replace(message, encoding="bayer_rggb8") if topic == "/camera/image_raw" else message
-        )
+        return dataclasses.replace(message, encoding="bayer_rggb8") if topic == "/camera/image_raw" else message
 
     done = rgbd_dic("process", edited(colour), "--out", tmp_path / "out")
     assert done.returncode == 3, done.stderr
     assert len(rows(tmp_path / "out")) == 30
     assert {row["valid"] for row in rows(tmp_path / "out")} == {"0"}
-    assert all(
-        "BAD_IMAGE" in row["reason"] and "bayer_rggb8" in row["reason"] for row in rows(tmp_path / "out")
-    )
+    assert all("BAD_IMAGE" in row["reason"] and "bayer_rggb8" in row["reason"] for row in rows(tmp_path / "out"))
 
 
 def test_uncalibrated_camera_info(edited, tmp_path: Path) -> None:
@@ -140,7 +136,7 @@ def test_setting_out_of_range(flight: Path, tmp_path: Path, text: str, said: str
     path = tmp_path / "settings.yaml"
     path.write_text(text)
     message = refused("process", flight, "--settings", path, "--out", tmp_path / "out")
-    assert said in message and "settings.yaml" in message or "Settings." in message
+    assert (said in message and "settings.yaml" in message) or "Settings." in message
 
 
 def test_bad_frames_inside_a_good_bag(edited, tmp_path: Path) -> None:
@@ -169,9 +165,7 @@ def test_bad_frames_inside_a_good_bag(edited, tmp_path: Path) -> None:
     assert set(invalid) == {20, 23, 26}
     assert "480 x 10 px" in invalid[20] and "must have" in invalid[23] and invalid[26].startswith("LOST")
     assert all(row["opening_mm"] == "nan" for index, row in enumerate(pose) if index in invalid)
-    reasons = [
-        row["reason"] for index, row in enumerate(rigid) if index not in invalid and row["valid"] == "0"
-    ]
+    reasons = [row["reason"] for index, row in enumerate(rigid) if index not in invalid and row["valid"] == "0"]
     assert sum("no valid pixel" in reason for reason in reasons) == 3
     assert sum("yuv422" in reason for reason in reasons) == 3
     assert len(reasons) == 6
@@ -191,23 +185,18 @@ def test_nan_depth(edited, tmp_path: Path) -> None:
     done = rgbd_dic("process", edited(nan), "--out", tmp_path / "out")
     assert done.returncode == 3, done.stderr
     assert all(
-        "NO_REFERENCE_PLANE" in row["reason"] and "no valid pixel" in row["reason"]
-        for row in rows(tmp_path / "out")
+        "NO_REFERENCE_PLANE" in row["reason"] and "no valid pixel" in row["reason"] for row in rows(tmp_path / "out")
     )
 
 
 def test_no_depth_for_a_while(edited, tmp_path: Path) -> None:
     """Three ToF frames in a row are missing: h_3d says so for the images between, h_pose goes on."""
-    bag = edited(
-        lambda topic, index, message: None if topic.startswith("/tof/depth") and 3 <= index < 6 else message
-    )
+    bag = edited(lambda topic, index, message: None if topic.startswith("/tof/depth") and 3 <= index < 6 else message)
     assert rgbd_dic("process", bag, "--method", "h_pose,h_3d", "--out", tmp_path / "out").returncode == 0
     assert all(row["valid"] == "1" for row in rows(tmp_path / "out", "h_pose"))
     missing = [row for row in rows(tmp_path / "out", "h_3d") if row["valid"] == "0"]
     assert 8 <= len(missing) <= 10  # 200 ms without a ToF frame, of which 2 x 30 ms are near enough to one
-    assert all(
-        row["reason"].startswith("NO_DEPTH_FRAME") and row["depth_offset_s"] == "nan" for row in missing
-    )
+    assert all(row["reason"].startswith("NO_DEPTH_FRAME") and row["depth_offset_s"] == "nan" for row in missing)
 
 
 def test_recorded_bag_is_never_overwritten(flight: Path, tmp_path: Path) -> None:

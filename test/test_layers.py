@@ -33,16 +33,12 @@ def imported(path: Path) -> set[str]:
 
 
 def files(folder: Path, *, without: str = "") -> list[Path]:
-    found = [
-        path for path in folder.rglob("*.py") if not without or without not in path.relative_to(folder).parts
-    ]
+    found = [path for path in folder.rglob("*.py") if not without or without not in path.relative_to(folder).parts]
     assert found
     return found
 
 
-@pytest.mark.parametrize(
-    "path", files(PROCESSING / "core") + files(ACQUISITION, without="nodes"), ids=lambda p: p.stem
-)
+@pytest.mark.parametrize("path", files(PROCESSING / "core") + files(ACQUISITION, without="nodes"), ids=lambda p: p.stem)
 def test_no_ros_in_numerical_code(path: Path) -> None:
     assert not imported(path) & ROS
 

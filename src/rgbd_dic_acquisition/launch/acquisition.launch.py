@@ -13,13 +13,9 @@ DEFAULT_PARAMETERS = PathJoinSubstitution([FindPackageShare(PACKAGE), "config", 
 ARGUMENTS = (
     DeclareLaunchArgument("namespace", default_value="", description="namespace of all nodes and topics"),
     DeclareLaunchArgument("use_sim_time", default_value="false", description="take the time from /clock"),
-    DeclareLaunchArgument(
-        "params_file", default_value=DEFAULT_PARAMETERS, description="YAML file of parameters"
-    ),
+    DeclareLaunchArgument("params_file", default_value=DEFAULT_PARAMETERS, description="YAML file of parameters"),
     DeclareLaunchArgument("log_level", default_value="info", description="debug, info, warn, error or fatal"),
-    DeclareLaunchArgument(
-        "output", default_value="", description="directory of the bag to record; empty: none"
-    ),
+    DeclareLaunchArgument("output", default_value="", description="directory of the bag to record; empty: none"),
     DeclareLaunchArgument("autopilot", default_value="true", description="whether to start mavlink_node"),
 )
 

@@ -95,9 +95,7 @@ class BagReader:
         """(topic, typename, log_time_ns, CDR bytes) of these topics, or of all, in the order of log time."""
         missing = sorted(set(topics or ()) - set(self.topics))
         if missing:
-            raise BagError(
-                f"{self.path} has no topic {', '.join(missing)}; it has {', '.join(self.topics) or 'none'}"
-            )
+            raise BagError(f"{self.path} has no topic {', '.join(missing)}; it has {', '.join(self.topics) or 'none'}")
         wanted = [c for c in self._reader.connections if topics is None or c.topic in topics]
         if not wanted:
             return

@@ -61,9 +61,7 @@ class BagWriter:
         self._last_ns = 0
         self.counts: dict[str, int] = {}
 
-    def add_topic(
-        self, name: str, typename: str, transient_local: bool = False, reliable: bool = True
-    ) -> None:
+    def add_topic(self, name: str, typename: str, transient_local: bool = False, reliable: bool = True) -> None:
         """Announce a topic, such as /imu/data of sensor_msgs/msg/Imu. A second time does nothing.
 
         Raises:
@@ -81,9 +79,7 @@ class BagWriter:
             "offered_qos_profiles": yaml.safe_dump(qos, sort_keys=False),
             "topic_type_hash": type_hash,
         }
-        self._channels[name] = self._writer.register_channel(
-            name, "cdr", self._schemas[typename], channel_metadata
-        )
+        self._channels[name] = self._writer.register_channel(name, "cdr", self._schemas[typename], channel_metadata)
         self._topics[name] = {
             "name": name,
             "type": typename,
@@ -93,9 +89,7 @@ class BagWriter:
         }
         self.counts[name] = 0
 
-    def write(
-        self, topic: str, log_time_ns: int, serialized: bytes, publish_time_ns: int | None = None
-    ) -> None:
+    def write(self, topic: str, log_time_ns: int, serialized: bytes, publish_time_ns: int | None = None) -> None:
         """Write one message, CDR bytes as they come from ROS. `log_time_ns` is when it was received.
 
         Raises:
@@ -118,9 +112,7 @@ class BagWriter:
         self._first_ns = log_time_ns if self._first_ns is None else min(self._first_ns, log_time_ns)
         self._last_ns = max(self._last_ns, log_time_ns)
 
-    def write_message(
-        self, topic: str, log_time_ns: int, message: Any, publish_time_ns: int | None = None
-    ) -> None:
+    def write_message(self, topic: str, log_time_ns: int, message: Any, publish_time_ns: int | None = None) -> None:
         """Serialise a message made by `make_message` and write it."""
         self.write(topic, log_time_ns, serialise(message), publish_time_ns)
 
@@ -130,9 +122,7 @@ class BagWriter:
             return
         information = self._information()
         try:
-            self._writer.add_metadata(
-                "rosbag2", {"serialized_metadata": yaml.safe_dump(information, sort_keys=False)}
-            )
+            self._writer.add_metadata("rosbag2", {"serialized_metadata": yaml.safe_dump(information, sort_keys=False)})
             self._writer.finish()
             self._file.close()
             text = yaml.safe_dump({"rosbag2_bagfile_information": information}, sort_keys=False)

@@ -150,9 +150,7 @@ class Calibration:
         if np.linalg.det(rotation) < 0:
             raise CalibrationError("T_camera_tof.rotation mirrors space (determinant -1): swap an axis")
         if translation.shape != (3,) or not np.all(np.isfinite(translation)):
-            raise CalibrationError(
-                f"T_camera_tof.translation_m must be three numbers: {translation.tolist()}"
-            )
+            raise CalibrationError(f"T_camera_tof.translation_m must be three numbers: {translation.tolist()}")
 
 
 def load_calibration(path: Path | str) -> Calibration:

@@ -56,8 +56,7 @@ def make_message(typename: str, **fields: Any) -> Any:
     if unknown:
         raise BagError(f"{typename} has no field {', '.join(unknown)}; it has {', '.join(definitions)}")
     values = {
-        name: _converted(kind, fields[name]) if name in fields else _default(kind)
-        for name, kind in definitions.items()
+        name: _converted(kind, fields[name]) if name in fields else _default(kind) for name, kind in definitions.items()
     }
     return typestore().types[typename](**values)
 

@@ -86,9 +86,7 @@ def depth_from_message(msg: Any) -> NDArray[np.float32]:
         ImageError: another encoding, or as for `image_from_message`.
     """
     if msg.encoding not in ("16UC1", "mono16", "32FC1"):
-        raise ImageError(
-            f"depth encoding '{msg.encoding}' is not supported; use 16UC1 (millimetres) or 32FC1 (metres)"
-        )
+        raise ImageError(f"depth encoding '{msg.encoding}' is not supported; use 16UC1 (millimetres) or 32FC1 (metres)")
     pixels = image_from_message(msg)
     depth = pixels * np.float32(1e-3) if pixels.dtype == np.uint16 else pixels
     return np.where(np.isfinite(depth) & (depth > 0), depth, np.float32(np.nan)).astype(np.float32)
@@ -130,9 +128,7 @@ def points_from_message(msg: Any) -> Array:
     return points[np.all(np.isfinite(points), axis=1) & (points[:, 2] > 0)]
 
 
-def image_message(
-    make: MessageFactory, stamp_ns: int, frame_id: str, array: NDArray[Any], encoding: str
-) -> Any:
+def image_message(make: MessageFactory, stamp_ns: int, frame_id: str, array: NDArray[Any], encoding: str) -> Any:
     """An Image of an array (rows, cols) whose type fits the encoding (mono8, mono16, 8UC1, 16UC1 or 32FC1).
 
     Raises:
@@ -170,8 +166,7 @@ def points_message(make: MessageFactory, stamp_ns: int, frame_id: str, points_m:
     if points.ndim != 2 or points.shape[1] != 3:
         raise ImageError(f"array of shape {points.shape} cannot be sent as points; it must be (N, 3)")
     fields = [
-        make("sensor_msgs/msg/PointField", name=name, offset=4 * i, datatype=7, count=1)
-        for i, name in enumerate("xyz")
+        make("sensor_msgs/msg/PointField", name=name, offset=4 * i, datatype=7, count=1) for i, name in enumerate("xyz")
     ]
     return make(
         POINT_CLOUD,

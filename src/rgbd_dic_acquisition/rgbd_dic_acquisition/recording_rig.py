@@ -43,9 +43,7 @@ def recording_rig(
     return calibration
 
 
-def with_constant_plane(
-    rig: Calibration, distance_m: float | None, notes: list[str]
-) -> tuple[Calibration, float]:
+def with_constant_plane(rig: Calibration, distance_m: float | None, notes: list[str]) -> tuple[Calibration, float]:
     """A rig whose ToF sensor is the camera itself with fewer pixels, and the distance of its plane.
 
     Raises:
@@ -77,9 +75,7 @@ def with_depth_images(rig: Calibration, depth_shape: tuple[int, int], notes: lis
     rows, cols = depth_shape
     camera, tof = rig.camera, rig.tof
     if tof is None and (camera.width, camera.height) == (cols, rows):
-        notes.append(
-            "no ToF sensor in the calibration: depth is taken as aligned with the images, pixel by pixel"
-        )
+        notes.append("no ToF sensor in the calibration: depth is taken as aligned with the images, pixel by pixel")
         return Calibration(camera, camera, np.eye(3), np.zeros(3))
     if tof is None:
         raise CalibrationError(
@@ -97,7 +93,5 @@ def with_depth_images(rig: Calibration, depth_shape: tuple[int, int], notes: lis
 def with_clouds(rig: Calibration, notes: list[str]) -> Calibration:
     """The rig for clouds; without extrinsics they must be in the camera's frame."""
     if rig.tof is None:
-        notes.append(
-            "no ToF sensor in the calibration: clouds are taken as points in the camera's optical frame"
-        )
+        notes.append("no ToF sensor in the calibration: clouds are taken as points in the camera's optical frame")
     return rig

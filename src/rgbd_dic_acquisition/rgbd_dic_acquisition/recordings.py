@@ -169,9 +169,7 @@ class _Recording:
         if file.suffix.lower() != ".ply":
             depth = read_depth(file)
             if self.rig.tof is None or depth.shape != (self.rig.tof.height, self.rig.tof.width):
-                raise ImageError(
-                    f"{file} has {depth.shape[1]} x {depth.shape[0]} pixels, unlike the first depth file"
-                )
+                raise ImageError(f"{file} has {depth.shape[1]} x {depth.shape[0]} pixels, unlike the first depth file")
             yield from self._depth_image(stamp_ns, depth)
             return
         points, unit = read_cloud(file)

@@ -50,9 +50,7 @@ class Settings:
         names = {field.name for field in dataclasses.fields(cls)}
         unknown = sorted(set(values) - names)
         if unknown:
-            raise SettingsError(
-                f"{where}: unknown setting {', '.join(unknown)}; known are {', '.join(sorted(names))}"
-            )
+            raise SettingsError(f"{where}: unknown setting {', '.join(unknown)}; known are {', '.join(sorted(names))}")
         return cls(**values)
 
     def as_dict(self) -> dict[str, Any]:

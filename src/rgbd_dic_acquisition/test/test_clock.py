@@ -69,12 +69,8 @@ def test_two_devices_pair_within_two_milliseconds():
     fast, slow = HostClock(), HostClock()
     truth_f, device_f, arrival_f = _flight(4, 60, 60, 80e-6, _jittery)
     truth_s, device_s, arrival_s = _flight(5, 60, 20, -60e-6, _jittery)
-    stamps_f = np.array(
-        [fast.stamp(int(d), int(a)).stamp_ns for d, a in zip(device_f, arrival_f, strict=True)]
-    )
-    stamps_s = np.array(
-        [slow.stamp(int(d), int(a)).stamp_ns for d, a in zip(device_s, arrival_s, strict=True)]
-    )
+    stamps_f = np.array([fast.stamp(int(d), int(a)).stamp_ns for d, a in zip(device_f, arrival_f, strict=True)])
+    stamps_s = np.array([slow.stamp(int(d), int(a)).stamp_ns for d, a in zip(device_s, arrival_s, strict=True)])
     late = truth_f - truth_f[0] > 10 * NS
     nearest = np.argmin(np.abs(stamps_s[None, :] - stamps_f[late, None]), axis=1)
     offsets = stamps_f[late] - stamps_s[nearest]

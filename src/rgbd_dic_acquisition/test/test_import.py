@@ -61,13 +61,9 @@ def write_stamps(path, header, rows):
 def test_images_alone(images, tmp_path):
     """Natural order, a plane at the distance where a pixel is a millimetre, and all of it is said."""
     seen = []
-    summary = import_recording(
-        images, tmp_path / "bag", frame_rate_hz=10.0, progress=lambda *step: seen.append(step)
-    )
+    summary = import_recording(images, tmp_path / "bag", frame_rate_hz=10.0, progress=lambda *step: seen.append(step))
     found = read(summary.path)
-    assert [messages.image_from_message(msg)[0, 0] for msg in found["/camera/image_raw"]] == [
-        10 * k for k in range(11)
-    ]
+    assert [messages.image_from_message(msg)[0, 0] for msg in found["/camera/image_raw"]] == [10 * k for k in range(11)]
     assert stamps_of(found, "/camera/image_raw") == [10**9 + k * 10**8 for k in range(11)]
     assert stamps_of(found, "/tof/depth/image_raw") == stamps_of(found, "/camera/camera_info")
     camera = Camera.from_camera_info(found["/camera/camera_info"][0])
@@ -103,9 +99,7 @@ def test_sixteen_bits_get_one_scale_for_all_images(tmp_path):
     save(tmp_path / "images", "a.tiff", ramp)
     save(tmp_path / "images", "b.tif", np.full((40, 60), 1500, np.uint16))
     seen = []
-    summary = import_recording(
-        tmp_path / "images", tmp_path / "bag", progress=lambda *step: seen.append(step)
-    )
+    summary = import_recording(tmp_path / "images", tmp_path / "bag", progress=lambda *step: seen.append(step))
     found = read(summary.path)
     first, second = (messages.image_from_message(msg) for msg in found["/camera/image_raw"])
     np.testing.assert_allclose(first, (ramp - 1000.0) * 0.255, atol=1.5)  # 0.1 % is cut off at both ends
@@ -134,9 +128,7 @@ def test_depth_files_in_their_units(tmp_path, name, values, expected_m):
     save(tmp_path / "images", "a.png", np.zeros((40, 60), np.uint8))
     save(tmp_path / "depth", name, np.tile(values, (20, 15)))
     calibration = Calibration(CAMERA, TOF, TURN, np.array([0.1, 0.2, 0.3]))
-    summary = import_recording(
-        tmp_path / "images", tmp_path / "bag", depth=tmp_path / "depth", calibration=calibration
-    )
+    summary = import_recording(tmp_path / "images", tmp_path / "bag", depth=tmp_path / "depth", calibration=calibration)
     found = read(summary.path)
     depth = messages.depth_from_message(found["/tof/depth/image_raw"][0])
     np.testing.assert_allclose(depth, np.tile(expected_m, (20, 15)), rtol=1e-6)
@@ -232,9 +224,7 @@ def test_bad_folders_and_files_are_refused_and_leave_nothing_behind(images, tmp_
     refused("must be above 0", frame_rate_hz=0.0)
     refused("must be between 0.01 and 1000 m", CalibrationError, distance_m=-1.0)
     refused("uncalibrated camera", CalibrationError, focal_px=0.0)
-    refused(
-        "images of 30 x 20 pixels, the recording has 60 x 40", CalibrationError, calibration=Calibration(TOF)
-    )
+    refused("images of 30 x 20 pixels, the recording has 60 x 40", CalibrationError, calibration=Calibration(TOF))
     save(tmp_path / "depth", "d0.png", np.full((20, 30), 900, np.uint16))
     refused("1 depth files for 11 images", depth=tmp_path / "depth")
     refused("both depth files and a distance", depth=tmp_path / "depth", distance_m=1.0)
@@ -268,9 +258,7 @@ def test_existing_bag_is_kept(images, tmp_path):
     assert (tmp_path / "bag" / "mine.txt").read_text() == "mine"
 
 
-@pytest.mark.parametrize(
-    ("name", "shape", "bits"), [("real_crack", (1228, 800), 16), ("open_hole", (1040, 400), 8)]
-)
+@pytest.mark.parametrize(("name", "shape", "bits"), [("real_crack", (1228, 800), 16), ("open_hole", (1040, 400), 8)])
 def test_real_recordings(tmp_path, name, shape, bits):
     folder = REAL_DATA / name
     if not folder.is_dir():

@@ -54,9 +54,7 @@ def udp():
     port = _free_port()
     autopilot = Autopilot(MavlinkSettings(url=f"udpin://127.0.0.1:{port}"))
     autopilot.read()
-    peer = mavutil.mavlink_connection(
-        f"udpout:127.0.0.1:{port}", source_system=7, source_component=1, dialect="common"
-    )
+    peer = mavutil.mavlink_connection(f"udpout:127.0.0.1:{port}", source_system=7, source_component=1, dialect="common")
     yield peer, autopilot
     peer.close()
     autopilot.close()
@@ -84,9 +82,7 @@ def test_any_attitude_is_both_frames_turned():
         q = quaternion_from_rpy(roll, pitch, yaw)
         ned_frd = Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix()
         np.testing.assert_allclose(_matrix(q), ned_frd, atol=1e-12)
-        np.testing.assert_allclose(
-            _matrix(enu_flu_from_ned_frd(q)), R_ENU_NED @ ned_frd @ R_FRD_FLU, atol=1e-12
-        )
+        np.testing.assert_allclose(_matrix(enu_flu_from_ned_frd(q)), R_ENU_NED @ ned_frd @ R_FRD_FLU, atol=1e-12)
 
 
 def test_attitude_arrives_turned_and_stamped(udp):

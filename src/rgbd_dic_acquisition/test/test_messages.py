@@ -14,9 +14,7 @@ from rgbd_dic_acquisition import messages
 def image(encoding, data, rows=2, cols=3, step=None, is_bigendian=0):
     size = {"mono8": 1, "8UC1": 1, "mono16": 2, "16UC1": 2, "32FC1": 4}.get(encoding, 3)
     step = cols * size if step is None else step
-    return SimpleNamespace(
-        encoding=encoding, data=data, height=rows, width=cols, step=step, is_bigendian=is_bigendian
-    )
+    return SimpleNamespace(encoding=encoding, data=data, height=rows, width=cols, step=step, is_bigendian=is_bigendian)
 
 
 @pytest.mark.parametrize(
@@ -27,9 +25,7 @@ def image(encoding, data, rows=2, cols=3, step=None, is_bigendian=0):
 @pytest.mark.parametrize("padding", [0, 5])
 def test_image_of_every_encoding(encoding, dtype, big_endian, padding):
     expected = np.arange(6).reshape(2, 3).astype(dtype)
-    rows = [
-        row.astype(np.dtype(dtype).newbyteorder(">" if big_endian else "<")).tobytes() for row in expected
-    ]
+    rows = [row.astype(np.dtype(dtype).newbyteorder(">" if big_endian else "<")).tobytes() for row in expected]
     data = b"".join(row + b"\xff" * padding for row in rows)
     msg = image(encoding, data, step=len(rows[0]) + padding, is_bigendian=int(big_endian))
     pixels = messages.image_from_message(msg)

@@ -162,12 +162,8 @@ def bag(tmp_path_factory) -> Path:
             stamp = START_NS + k * PERIOD_NS
             pixels = rng.integers(0, 256, (48, 64), np.uint8)
             about = (make_message, stamp, "camera_optical_frame")
-            writer.write(
-                "/camera/image_raw", stamp + 9_000_000, serialise(image_message(*about, pixels, "mono8"))
-            )
-            writer.write(
-                "/camera/camera_info", stamp + 9_100_000, serialise(camera_info_message(*about, camera))
-            )
+            writer.write("/camera/image_raw", stamp + 9_000_000, serialise(image_message(*about, pixels, "mono8")))
+            writer.write("/camera/camera_info", stamp + 9_100_000, serialise(camera_info_message(*about, camera)))
             for shift in (10_000_000, 16_000_000):
                 imu = imu_message(make_message, stamp + shift, "base_link", (0, 0, 0, 1), np.eye(3))
                 writer.write("/imu/data", stamp + shift, serialise(imu))
@@ -219,9 +215,7 @@ def test_what_is_played_is_recorded_byte_for_byte(processes, bag, tmp_path, rate
             independent[channel.topic].append(message.data)
     assert independent == copy
     information = yaml.safe_load((output / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
-    counts = {
-        t["topic_metadata"]["name"]: t["message_count"] for t in information["topics_with_message_count"]
-    }
+    counts = {t["topic_metadata"]["name"]: t["message_count"] for t in information["topics_with_message_count"]}
     assert counts == {topic: len(data) for topic, data in source.items()}
 
 
@@ -231,9 +225,7 @@ def test_log_times_follow_the_clock_of_the_bag(processes, bag, tmp_path):
     _finish(processes.node("player_node", bag=str(bag), wait_for_matched=_matched(), start_delay_s=0.3))
     _stop(recorder)
     with BagReader(output) as reader:
-        times = [
-            (header_stamp_ns(data), log) for topic, _, log, data in reader.raw_messages() if "image" in topic
-        ]
+        times = [(header_stamp_ns(data), log) for topic, _, log, data in reader.raw_messages() if "image" in topic]
     delays_ms = [(log - stamp) / 1e6 for stamp, log in times]
     # The bag was recorded 9 ms after each stamp; /clock steps by the messages, up to 8 ms apart.
     assert np.median(delays_ms) == pytest.approx(9, abs=1)

@@ -131,9 +131,7 @@ def test_the_example_file_has_the_defaults():
         assert own.from_mapping(values) == own()
 
 
-@pytest.mark.parametrize(
-    ("dtype", "code"), [(np.float64, "d"), (np.float32, "f"), (np.int64, "d"), (np.uint8, "d")]
-)
+@pytest.mark.parametrize(("dtype", "code"), [(np.float64, "d"), (np.float32, "f"), (np.int64, "d"), (np.uint8, "d")])
 def test_sequences_take_any_array(dtype, code):
     message = make("rgbd_dic_msgs/msg/SubsetField", x=np.arange(6, dtype=dtype).reshape(2, 3))
     assert message.x == array.array(code, range(6)) or list(message.x) == list(range(6))

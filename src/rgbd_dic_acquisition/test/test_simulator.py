@@ -40,9 +40,7 @@ from rgbd_dic_acquisition import messages
 
 SAMPLE = Path(__file__).parents[3] / "bags" / "sample"
 LENS = Camera(240, 180, 410.0, 411.0, 119.5, 89.5, 0.05, 0.3)  # ten times the real lens's distortion
-TILTED = Pose(
-    Rotation.from_euler("yxz", [20, -12, 8], degrees=True).as_matrix(), np.array([0.03, -0.02, 1.1])
-)
+TILTED = Pose(Rotation.from_euler("yxz", [20, -12, 8], degrees=True).as_matrix(), np.array([0.03, -0.02, 1.1]))
 NO_NOISE = CameraSettings(read_noise=0.0, shot_noise=0.0)
 
 
@@ -119,9 +117,7 @@ def test_supersampling_integrates_an_edge():
     scene = CrackedPanel(PanelSettings(width_m=0.05, height_m=1.0, gap_m=0.0), Blob((9.0, 9.0)))
     settings = replace(NO_NOISE, supersampling=16)
     edge_px = np.array([19.5 - 0.025 * 400, 19.5 + 0.025 * 400])  # at pixel centres 9.5 and 29.5
-    image = CameraModel(camera, settings).radiance(
-        scene, Pose(np.eye(3), np.array([0, 0, 1.0])), CrackState()
-    )
+    image = CameraModel(camera, settings).radiance(scene, Pose(np.eye(3), np.array([0, 0, 1.0])), CrackState())
     shifted = Pose(np.eye(3), np.array([0.3 / 400, 0, 1.0]))  # 0.3 px to the right
     moved = CameraModel(camera, settings).radiance(scene, shifted, CrackState())
     left = int(edge_px[0])
@@ -131,9 +127,7 @@ def test_supersampling_integrates_an_edge():
 
 def test_rendering_does_not_depend_on_threads():
     scene = CrackedPanel(PanelSettings(), Blob((0.1, 0.0)))
-    one, four = (
-        CameraModel(LENS, NO_NOISE, workers).radiance(scene, TILTED, CrackState()) for workers in (1, 4)
-    )
+    one, four = (CameraModel(LENS, NO_NOISE, workers).radiance(scene, TILTED, CrackState()) for workers in (1, 4))
     np.testing.assert_array_equal(one, four)
 
 
@@ -154,9 +148,7 @@ def test_shift_by_whole_pixels_gives_the_same_pixels(squarely_in_front):
     pixel_m = flight.settings.motion.distance_m / np.array([model.camera.fx, model.camera.fy])
     crack = CrackState(2 * pixel_m[0], -3 * pixel_m[1])
     before, after = (model.radiance(flight.scene, flight.pose(0.0), state) for state in (CrackState(), crack))
-    np.testing.assert_allclose(
-        np.roll(after, (3, -2), axis=(0, 1))[RIGHT_PART], before[RIGHT_PART], atol=1e-6
-    )
+    np.testing.assert_allclose(np.roll(after, (3, -2), axis=(0, 1))[RIGHT_PART], before[RIGHT_PART], atol=1e-6)
     np.testing.assert_array_equal(after[LEFT_PART], before[LEFT_PART])
 
 
@@ -222,9 +214,7 @@ def test_tof_depth_lies_on_the_planes():
     in_tof = calibration.tof.rays(pixels) * frame.depth_m.reshape(-1, 1)
     in_camera = in_tof @ calibration.R_camera_tof.T + calibration.t_camera_tof
     in_panel = (in_camera - pose.t) @ pose.R
-    on_panel = (
-        (np.abs(in_panel[:, 2]) < 1e-9) & (np.abs(in_panel[:, 0]) < 0.29) & (np.abs(in_panel[:, 1]) < 0.21)
-    )
+    on_panel = (np.abs(in_panel[:, 2]) < 1e-9) & (np.abs(in_panel[:, 0]) < 0.29) & (np.abs(in_panel[:, 1]) < 0.21)
     on_wall = np.abs(in_panel[:, 2] - 0.6) < 1e-9
     assert np.all(on_panel | on_wall)
     assert on_panel.sum() > 500 and on_wall.sum() > 500
@@ -322,9 +312,7 @@ def test_bag_holds_what_was_announced_and_both_libraries_read_it(flight_bag):
         assert {name: info.count for name, info in bag.topics.items()} == summary.counts
         assert sum(1 for _ in bag.messages()) == sum(summary.counts.values())
     with (path / "small_0.mcap").open("rb") as file:
-        assert sum(1 for _ in make_reader(file, validate_crcs=True).iter_messages()) == sum(
-            summary.counts.values()
-        )
+        assert sum(1 for _ in make_reader(file, validate_crcs=True).iter_messages()) == sum(summary.counts.values())
 
 
 def test_stamps_grow_logs_come_later_and_the_clocks_differ(flight_bag):
@@ -354,9 +342,7 @@ def test_truth_calibration_and_infos_agree(flight_bag):
     with BagReader(path) as bag:
         truth = [msg for _, _, msg in bag.messages(["/crack_opening_truth"])]
         (static,) = [msg for _, _, msg in bag.messages(["/tf_static"])]
-        infos = [
-            (topic, msg) for topic, _, msg in bag.messages(["/camera/camera_info", "/tof/depth/camera_info"])
-        ]
+        infos = [(topic, msg) for topic, _, msg in bag.messages(["/camera/camera_info", "/tof/depth/camera_info"])]
     for topic, info in infos:
         expected = calibration.camera if topic.startswith("/camera") else calibration.tof
         assert Camera.from_camera_info(info) == expected
@@ -370,9 +356,7 @@ def test_truth_calibration_and_infos_agree(flight_bag):
         pose = flight.pose((int(row["stamp_ns"]) - 1_750_000_000 * 10**9) * 1e-9)
         quaternion = [float(row[f"panel_q{axis}"]) for axis in "xyzw"]
         np.testing.assert_allclose(Rotation.from_quat(quaternion).as_matrix(), pose.R, atol=1e-11)
-        np.testing.assert_allclose(
-            [float(row[f"panel_{axis}_mm"]) for axis in "xyz"], 1e3 * pose.t, atol=1e-8
-        )
+        np.testing.assert_allclose([float(row[f"panel_{axis}_mm"]) for axis in "xyz"], 1e3 * pose.t, atol=1e-8)
     assert float(rows[0]["opening_mm"]) == 0.0 and float(rows[-1]["opening_mm"]) > 0.5
 
 
@@ -409,9 +393,7 @@ def test_regions_are_on_the_plates_they_belong_to():
     assert np.all(sight.surface == PAINTED) and np.all(across < -0.02)
     panel = np.array(regions["panel"])
     outside = panel + 26 * np.sign(panel - panel.mean(axis=0))
-    assert np.all(
-        scene.look(lens.rays(lens.undistort(outside)), flight.pose(0.0), CrackState()).surface == WALL
-    )
+    assert np.all(scene.look(lens.rays(lens.undistort(outside)), flight.pose(0.0), CrackState()).surface == WALL)
     direction = np.array(regions["crack"]["direction"])
     normal_px = np.array([direction[1], -direction[0]])
     assert normal_px[0] > 0 and np.linalg.norm(direction) == pytest.approx(1.0, abs=1e-5)
@@ -457,9 +439,7 @@ def test_live_sources_show_the_moment_of_their_stamp():
     for frame in frames[::5]:
         pose, crack = camera.truth(frame.stamp_ns)
         light = camera.flight.camera_model.radiance(camera.flight.scene, pose, crack)
-        assert (
-            np.abs(frame.image - light).mean() < 1.2
-        )  # the noise alone; a frame earlier or later is above 4
+        assert np.abs(frame.image - light).mean() < 1.2  # the noise alone; a frame earlier or later is above 4
     for frame in depths:
         time_s = scene_time_s(frame.stamp_ns, settings)
         np.testing.assert_allclose(frame.depth_m, tof.flight.depth(time_s, 0).depth_m, rtol=1e-6)

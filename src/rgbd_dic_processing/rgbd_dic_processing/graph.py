@@ -21,6 +21,7 @@ TYPES = {
     "tof/depth/camera_info": "sensor_msgs/msg/CameraInfo",
     "tof/intensity/image_raw": "sensor_msgs/msg/Image",
     "tof/confidence/image_raw": "sensor_msgs/msg/Image",
+    "tof/points": "sensor_msgs/msg/PointCloud2",
     "imu/data": "sensor_msgs/msg/Imu",
     "frame_pair": "rgbd_dic_msgs/msg/FramePair",
     "plane": "rgbd_dic_msgs/msg/PlaneStamped",
@@ -30,7 +31,7 @@ TYPES = {
     "crack_opening": "rgbd_dic_msgs/msg/CrackOpening",
 }
 LATCHED = {"reference"}
-SENSOR_TOPICS = tuple(list(TYPES)[:7])
+SENSOR_TOPICS = tuple(list(TYPES)[:8])
 CAMERA_TOPICS = ("camera/image_raw", "camera/camera_info")
 TOF_TOPICS = (
     "tof/depth/image_raw",
@@ -66,9 +67,11 @@ class GraphFiles:
 
 
 def processing_nodes(
-    files: GraphFiles, settings: ProcessingSettings, methods: tuple[str, ...]
+    files: GraphFiles, settings: ProcessingSettings, methods: tuple[str, ...], use_points: bool = False
 ) -> list[NodeSpec]:
     """DIC, pairing, planes, and a compensation and a crack_opening node for each method.
+
+    With `use_points` the ToF frames come as `tof/points`, else as `tof/depth/image_raw`.
 
     The first method publishes `displacement_field` and `crack_opening`; every other one under its own name, such as
     `h_3d/crack_opening`.
@@ -91,23 +94,21 @@ def processing_nodes(
         NodeSpec(
             PROCESSING,
             "pairing_node",
-            ("camera/camera_info", "tof/depth/camera_info"),
+            ("camera/camera_info", "tof/points" if use_points else "tof/depth/camera_info"),
             ("frame_pair",),
-            parameters=stage("pairing"),
+            parameters={"use_points": use_points, **stage("pairing")},
         ),
         NodeSpec(
             PROCESSING,
             "plane_node",
-            ("tof/depth/image_raw", "subset_field"),
+            ("tof/points" if use_points else "tof/depth/image_raw", "subset_field"),
             ("plane",),
-            parameters={**calibration, **regions, **stage("plane")},
+            parameters={"use_points": use_points, **calibration, **regions, **stage("plane")},
         ),
     ]
     for index, method in enumerate(methods):
         suffix = f"_{method}" if index else ""
-        moved = (
-            {topic: f"{method}/{topic}" for topic in ("displacement_field", "crack_opening")} if index else {}
-        )
+        moved = {topic: f"{method}/{topic}" for topic in ("displacement_field", "crack_opening")} if index else {}
         displacement, opening = (moved.get(t, t) for t in ("displacement_field", "crack_opening"))
         nodes += [
             NodeSpec(

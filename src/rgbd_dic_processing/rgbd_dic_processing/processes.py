@@ -66,9 +66,7 @@ class GraphProcesses:
         """
         for name, process in self._running.items():
             if process.poll() not in (None, 0):
-                lines = self.log_of(name).read_text(errors="replace").strip().splitlines() or [
-                    "(it said nothing)"
-                ]
+                lines = self.log_of(name).read_text(errors="replace").strip().splitlines() or ["(it said nothing)"]
                 raise RgbdDicError(
                     f"{name} ended with exit code {process.returncode}: {lines[-1]} (log: {self.log_of(name)})"
                 )

@@ -10,14 +10,27 @@ from numpy.typing import NDArray
 from rgbd_dic_acquisition.bag import BagReader
 from rgbd_dic_acquisition.calibration import Calibration, Camera, load_calibration
 from rgbd_dic_acquisition.errors import BagError, CalibrationError, ImageError
-from rgbd_dic_acquisition.messages import depth_from_message, image_from_message, stamp_to_ns
+from rgbd_dic_acquisition.messages import (
+    CAMERA_INFO,
+    IMAGE,
+    POINT_CLOUD,
+    depth_from_message,
+    image_from_message,
+    points_from_message,
+    stamp_to_ns,
+)
 from scipy.spatial.transform import Rotation
 
 from .core.pipeline import Measurement, Pipeline
 
-IMAGE, CAMERA_INFO = "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo"
-CAMERA_TOPIC, DEPTH_TOPIC = "camera/image_raw", "tof/depth/image_raw"
-INFO_TOPICS = {"camera/camera_info": CAMERA_INFO, "tof/depth/camera_info": CAMERA_INFO}
+CAMERA_TOPIC, DEPTH_TOPIC, POINTS_TOPIC = "camera/image_raw", "tof/depth/image_raw", "tof/points"
+CAMERA_INFO_TOPIC, TOF_INFO_TOPIC = "camera/camera_info", "tof/depth/camera_info"
+
+
+def has_clouds(bag: BagReader) -> bool:
+    """Whether the ToF frames of a bag are point clouds: it has `tof/points`, and no depth images."""
+    names = {name.lstrip("/") for name in bag.topics}
+    return POINTS_TOPIC in names and DEPTH_TOPIC not in names
 
 
 def check_topics(bag: BagReader) -> None:
@@ -26,8 +39,13 @@ def check_topics(bag: BagReader) -> None:
     Raises:
         BagError: naming the missing topic and those that are there.
     """
-    for topic, kind in {CAMERA_TOPIC: IMAGE, DEPTH_TOPIC: IMAGE, **INFO_TOPICS}.items():
-        bag.require(topic, kind)
+    bag.require(CAMERA_TOPIC, IMAGE)
+    bag.require(CAMERA_INFO_TOPIC, CAMERA_INFO)
+    if has_clouds(bag):
+        bag.require(POINTS_TOPIC, POINT_CLOUD)
+    else:
+        bag.require(DEPTH_TOPIC, IMAGE)
+        bag.require(TOF_INFO_TOPIC, CAMERA_INFO)
 
 
 def calibration_of(bag: BagReader, path: Path | None) -> Calibration:
@@ -39,8 +57,8 @@ def calibration_of(bag: BagReader, path: Path | None) -> Calibration:
     if path is not None:
         return load_calibration(path)
     cameras, frames = [], []
-    for topic, kind in INFO_TOPICS.items():
-        name = bag.require(topic, kind)
+    for topic in (CAMERA_INFO_TOPIC, TOF_INFO_TOPIC):
+        name = bag.require(topic, CAMERA_INFO)
         info = next((message for _, _, message in bag.messages([name])), None)
         if info is None:
             raise BagError(f"{bag.path}: topic {name} is empty: give a calibration.yaml with --calibration")
@@ -69,23 +87,28 @@ def measure_bag(bag: BagReader, pipeline: Pipeline) -> Iterator[list[Measurement
 
     A message that cannot be read becomes an invalid frame with its reason.
     """
-    camera_topic, depth_topic = bag.require(CAMERA_TOPIC, IMAGE), bag.require(DEPTH_TOPIC, IMAGE)
-    for topic, _, message in bag.messages([camera_topic, depth_topic]):
-        convert, add = (
-            (image_from_message, pipeline.add_image)
-            if topic == camera_topic
-            else (depth_from_message, pipeline.add_depth)
+    converters = {
+        topic: (convert, add)
+        for topic, convert, add in (
+            (bag.require(CAMERA_TOPIC, IMAGE), image_from_message, pipeline.add_image),
+            (
+                (bag.require(POINTS_TOPIC, POINT_CLOUD), points_from_message, pipeline.add_points)
+                if has_clouds(bag)
+                else (bag.require(DEPTH_TOPIC, IMAGE), depth_from_message, pipeline.add_depth)
+            ),
         )
+    }
+    for topic, _, message in bag.messages(converters):
+        convert, add = converters[topic]
         try:
-            pixels, reason = convert(message), ""
+            content, reason = convert(message), ""
         except ImageError as error:
-            pixels, reason = None, str(error)
-        yield add(stamp_to_ns(message.header.stamp), pixels, reason)
+            content, reason = None, str(error)
+        yield add(stamp_to_ns(message.header.stamp), content, reason)
     yield pipeline.flush()
 
 
 def frame_count(bag: BagReader) -> int:
     """Messages that `measure_bag` will go through."""
-    if not bag.topics:
-        raise BagError(f"{bag.path} holds no messages")
-    return sum(bag.topics[bag.require(topic, IMAGE)].count for topic in (CAMERA_TOPIC, DEPTH_TOPIC))
+    depth = (POINTS_TOPIC, POINT_CLOUD) if has_clouds(bag) else (DEPTH_TOPIC, IMAGE)
+    return sum(bag.topics[bag.require(*topic)].count for topic in ((CAMERA_TOPIC, IMAGE), depth))

@@ -16,10 +16,7 @@ from .core.crack import CrackOpening
 from .core.status import FrameStatus
 
 CSV_NAME = "crack_opening.csv"
-HEADER = (
-    "stamp_ns,method,opening_mm,sliding_mm,out_of_plane_mm,magnitude_mm,u_opening_mm,"
-    "n_left,n_right,depth_offset_s,latency_s,valid,reason"
-).split(",")
+HEADER = ["stamp_ns", "method", "opening_mm", "sliding_mm", "out_of_plane_mm", "magnitude_mm", "u_opening_mm", "n_left", "n_right", "depth_offset_s", "latency_s", "valid", "reason"]
 
 
 def row(opening: CrackOpening) -> list[str]:
@@ -73,9 +70,7 @@ def read_openings(path: Path) -> list[CrackOpening]:
 
 def _opening(line: dict[str, str]) -> CrackOpening:
     status, _, reason = line["reason"].partition(": ")
-    metres = {
-        name: float(line[f"{name}_mm"]) * 1e-3 for name in ("opening", "sliding", "out_of_plane", "magnitude")
-    }
+    metres = {name: float(line[f"{name}_mm"]) * 1e-3 for name in ("opening", "sliding", "out_of_plane", "magnitude")}
     return CrackOpening(
         int(line["stamp_ns"]),
         0,
@@ -113,9 +108,7 @@ def read_truth(path: Path) -> Truth:
             lines = list(csv.DictReader(file))
         stamps = np.array([int(line["stamp_ns"]) for line in lines], np.int64)
         columns = ("opening_mm", "sliding_mm", "out_of_plane_mm")
-        jump = np.array([[float(line.get(name) or "nan") for name in columns] for line in lines]).reshape(
-            -1, 3
-        )
+        jump = np.array([[float(line.get(name) or "nan") for name in columns] for line in lines]).reshape(-1, 3)
     except OSError as error:
         raise RgbdDicError(f"cannot read {path}: {error.strerror}") from error
     except (KeyError, TypeError, ValueError) as error:

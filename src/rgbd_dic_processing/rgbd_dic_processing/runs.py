@@ -42,8 +42,7 @@ class MapSelection:
     def maps(self) -> dict[str, dict[str, DisplacementField]]:
         """method -> "widest" and "last" -> field."""
         return {
-            method: {"widest": self._widest[method][1], "last": self._last[method]}
-            for method in sorted(self._last)
+            method: {"widest": self._widest[method][1], "last": self._last[method]} for method in sorted(self._last)
         }
 
 
@@ -104,9 +103,7 @@ class Run:
             with np.load(folder / MAPS_NAME) as arrays:
                 maps = _nested({name: arrays[name] for name in arrays.files})
         except (OSError, ValueError, yaml.YAMLError) as error:
-            raise RgbdDicError(
-                f"{folder} is not the folder of a run (no {RUN_NAME}, {MAPS_NAME}): {error}"
-            ) from error
+            raise RgbdDicError(f"{folder} is not the folder of a run (no {RUN_NAME}, {MAPS_NAME}): {error}") from error
         reference = None
         image = cv2.imread(str(folder / REFERENCE_NAME), cv2.IMREAD_GRAYSCALE)
         if image is not None and "reference" in content:

@@ -32,9 +32,7 @@ def gradient(image: np.ndarray, degree: int) -> tuple[np.ndarray, np.ndarray]:
 
     def along(axis: int) -> np.ndarray:
         knots = np.arange(image.shape[axis])
-        return interpolate.make_interp_spline(knots, image.astype(float), k=degree, axis=axis).derivative()(
-            knots
-        )
+        return interpolate.make_interp_spline(knots, image.astype(float), k=degree, axis=axis).derivative()(knots)
 
     return along(1), along(0)
 

@@ -30,9 +30,7 @@ class ExactScene:
     @property
     def regions(self) -> Regions:
         w, h = self.camera.width, self.camera.height
-        crack = self.to_pixels(
-            np.array([[self.crack_x_m, -1e-3, 0], [self.crack_x_m, 1e-3, 0]]), self.R, self.t
-        )
+        crack = self.to_pixels(np.array([[self.crack_x_m, -1e-3, 0], [self.crack_x_m, 1e-3, 0]]), self.R, self.t)
         middle, direction = crack.mean(axis=0), crack[1] - crack[0]
         zones = CrackZones.from_point(middle, direction, across=80, along=160, gap=20)
         panel = np.array([(5, 5), (w - 6, 5), (w - 6, h - 6), (5, h - 6)], float)
@@ -48,9 +46,7 @@ class ExactScene:
     @property
     def reference(self) -> Reference:
         centres = self.regions.subset_centres(self.camera.width, self.camera.height, SUBSET, STEP)
-        return Reference(
-            1, np.zeros((self.camera.height, self.camera.width), np.uint8), centres, SUBSET, STEP
-        )
+        return Reference(1, np.zeros((self.camera.height, self.camera.width), np.uint8), centres, SUBSET, STEP)
 
     def plane(self, R: np.ndarray, t: np.ndarray, sigma: float = 1e-6) -> Plane:
         """The panel's plane z = 0 in a camera at X_camera = R X_panel + t, with a small covariance."""
@@ -95,9 +91,7 @@ class ExactScene:
         return PlaneEstimate(stamp, FrameStatus.OK, "", self.plane(R, t), 1000, 1000, 0.001)
 
 
-def pose(
-    rotation_deg: tuple[float, float, float], t: tuple[float, float, float]
-) -> tuple[np.ndarray, np.ndarray]:
+def pose(rotation_deg: tuple[float, float, float], t: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarray]:
     """X_camera = R X_panel + t from xyz angles in degrees."""
     return Rotation.from_euler("xyz", rotation_deg, degrees=True).as_matrix(), np.array(t)
 

@@ -30,9 +30,7 @@ def test_opening_is_exact(method, reference):
     for stamp, (rotation, translation), shift in ((1, reference, 0 * jump), (2, (R, t), jump)):
         step.add_pair(pair(stamp))
         step.add_plane(scene.estimate(stamp, rotation, translation))
-        openings += [
-            crack.measure(f) for f in step.add_field(scene.field(stamp, rotation, translation, shift))
-        ]
+        openings += [crack.measure(f) for f in step.add_field(scene.field(stamp, rotation, translation, shift))]
     first, second = openings
     assert first.valid and second.valid, (first.reason, second.reason)
     assert first.opening_m == pytest.approx(0, abs=1e-10)

@@ -98,9 +98,7 @@ def test_fit_homography_is_exact_and_refuses_a_line() -> None:
     moved = apply_homography(H, POINTS)
     found = fit_homography(POINTS, moved)
     np.testing.assert_allclose(found, H / H[2, 2], rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(
-        apply_homography(fit_homography(POINTS[:4], moved[:4]), POINTS), moved, atol=1e-6
-    )
+    np.testing.assert_allclose(apply_homography(fit_homography(POINTS[:4], moved[:4]), POINTS), moved, atol=1e-6)
     line = np.column_stack([np.arange(9.0), 2 * np.arange(9.0)])
     assert fit_homography(line, line) is None
 
@@ -148,6 +146,4 @@ def test_realignment_of_a_high_panel_puts_its_length_along_y() -> None:
     plane = Plane(np.array([0, 0, 1.0]), -1.0, np.zeros((4, 4)))
     x, y = np.meshgrid(np.linspace(250, 350, 11), np.linspace(50, 450, 41))
     pixels = np.column_stack([x.ravel(), y.ravel()])
-    np.testing.assert_allclose(
-        realign_to_principal_axes(CAMERA, plane, pixels).R_panel_camera, np.eye(3), atol=1e-9
-    )
+    np.testing.assert_allclose(realign_to_principal_axes(CAMERA, plane, pixels).R_panel_camera, np.eye(3), atol=1e-9)

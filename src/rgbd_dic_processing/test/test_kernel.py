@@ -10,9 +10,8 @@ import re
 from pathlib import Path
 
 import numpy as np
-import pytest
-
 import numpy_icgn
+import pytest
 from rgbd_dic_acquisition.errors import ImageError, SettingsError
 from rgbd_dic_processing.core.correlation import CorrelationSettings, ReferenceSubsets, SubsetStatus
 from scipy import ndimage
@@ -164,9 +163,7 @@ def test_interpolation_bias_is_far_below_that(speckle, degree, limit_px, shift):
     centres = grid(step=8)
     x, y = pixels()
     subsets = ReferenceSubsets(speckle(x, y), centres, CorrelationSettings(spline_degree=degree))
-    found = subsets.correlate(
-        subsets.target(speckle(x - shift, y + shift)), identity_seeds(centres, (0.5, -0.5))
-    )
+    found = subsets.correlate(subsets.target(speckle(x - shift, y + shift)), identity_seeds(centres, (0.5, -0.5)))
     assert abs(np.mean(found.x_px - centres[:, 0] - shift)) < limit_px
     assert abs(np.mean(found.y_px - centres[:, 1] + shift)) < limit_px
 
@@ -184,9 +181,7 @@ def test_perspective_leaves_no_bias_and_no_trend(reference, warped, homography, 
     assert found.valid.all()
     errors = np.stack([found.x_px, found.y_px], axis=1) - truth
     floor = quantisation_floor(reference, centres, settings.subset_size, axis=1)
-    design = np.column_stack(
-        [np.ones(len(centres)), (centres - centres.mean(axis=0)) / np.ptp(centres, axis=0)]
-    )
+    design = np.column_stack([np.ones(len(centres)), (centres - centres.mean(axis=0)) / np.ptp(centres, axis=0)])
     for error in errors.T:
         mean, *trend = np.linalg.lstsq(design, error)[0]
         # As above; the change from edge to edge of an unbiased field scatters sqrt(12) times as much.
@@ -231,16 +226,13 @@ def test_brightness_and_contrast_do_not_matter(speckle, reference, degree):
     image = speckle(x - 0.3, y - 0.6)
     subsets = ReferenceSubsets(reference, centres, CorrelationSettings(spline_degree=degree))
     found, changed = (
-        subsets.correlate(subsets.target(target), identity_seeds(centres))
-        for target in (image, 0.6 * image + 40)
+        subsets.correlate(subsets.target(target), identity_seeds(centres)) for target in (image, 0.6 * image + 40)
     )
     assert changed.valid.all()
     # Both stop within tolerance_px = 1e-4, where Gauss-Newton contracts a hundredfold a step.
     np.testing.assert_allclose(changed.x_px, found.x_px, atol=2e-6)
     np.testing.assert_allclose(changed.y_px, found.y_px, atol=2e-6)
-    np.testing.assert_allclose(
-        changed.zncc, found.zncc, atol=1e-6
-    )  # float32, eight digits of a number near 1
+    np.testing.assert_allclose(changed.zncc, found.zncc, atol=1e-6)  # float32, eight digits of a number near 1
 
 
 # Agreement with independent computations
@@ -258,9 +250,7 @@ def test_parity_with_the_numpy_twin(reference, warped, homography, degree, subse
         numpy_icgn.correlate(reference, warped, tuple(c), s, subset_size=subset_size, degree=degree)
         for c, s in zip(centres, seeds, strict=True)
     ]
-    column = {
-        field.name: [getattr(twin, field.name) for twin in twins] for field in dataclasses.fields(twins[0])
-    }
+    column = {field.name: [getattr(twin, field.name) for twin in twins] for field in dataclasses.fields(twins[0])}
     np.testing.assert_array_equal(found.iterations, column["iterations"])
     # Positions within a subset are float32 numbers up to 20 px, each rounded by up to 1e-6 px; over the
     # hundreds of pixels of a subset most of that averages out.
@@ -315,9 +305,7 @@ def test_image_types_are_equivalent(reference, warped, dtype):
     results = []
     for kind in (np.uint8, dtype):
         subsets = ReferenceSubsets(reference.astype(kind), centres, CorrelationSettings())
-        results.append(
-            subsets.correlate(subsets.target(reference.astype(kind)), identity_seeds(centres, (0.2, 0)))
-        )
+        results.append(subsets.correlate(subsets.target(reference.astype(kind)), identity_seeds(centres, (0.2, 0))))
     assert results[0].x_px.tobytes() == results[1].x_px.tobytes()
 
 
@@ -368,9 +356,7 @@ def test_low_texture(reference):
     assert (status_of(weak, weak, identity_seeds(centres), centres).status == SubsetStatus.LOW_TEXTURE).all()
     assert (status_of(weak, weak, identity_seeds(centres), centres, min_contrast=0.05).status == 0).all()
     stripes = np.broadcast_to(reference[50], reference.shape)  # plenty of contrast, but v cannot be seen
-    assert (
-        status_of(stripes, stripes, identity_seeds(centres), centres).status == SubsetStatus.LOW_TEXTURE
-    ).all()
+    assert (status_of(stripes, stripes, identity_seeds(centres), centres).status == SubsetStatus.LOW_TEXTURE).all()
 
 
 def test_low_correlation(reference):

@@ -225,9 +225,7 @@ def test_little_to_tell_is_told(change, says, pictures, tmp_path):
 def test_truth_of_other_frames_compares_nothing(tmp_path):
     other = tmp_path / "other.csv"
     other.write_text("stamp_ns,opening_mm\n12,0.5\n")
-    text = write_report(saved(replace(usual_run(), maps={}), tmp_path / "run"), other).read_text(
-        encoding="utf-8"
-    )
+    text = write_report(saved(replace(usual_run(), maps={}), tmp_path / "run"), other).read_text(encoding="utf-8")
     assert "no valid frame has a truth to compare with" in text
     assert "RMS error" not in text
 

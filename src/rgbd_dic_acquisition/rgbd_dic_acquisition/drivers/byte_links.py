@@ -137,9 +137,7 @@ class SerialLink:
             tty.setraw(self._fd)
             speed = getattr(termios, f"B{baud}")
             attributes = termios.tcgetattr(self._fd)
-            attributes[2] = (
-                attributes[2] & ~termios.CRTSCTS & ~termios.CSTOPB | termios.CLOCAL | termios.CREAD
-            )
+            attributes[2] = attributes[2] & ~termios.CRTSCTS & ~termios.CSTOPB | termios.CLOCAL | termios.CREAD
             attributes[4] = attributes[5] = speed
             termios.tcsetattr(self._fd, termios.TCSANOW, attributes)
         except (OSError, termios.error) as error:

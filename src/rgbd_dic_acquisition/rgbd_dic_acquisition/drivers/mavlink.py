@@ -34,9 +34,7 @@ class MavlinkSettings(Settings):
         "udpin://127.0.0.1:14550",
         doc="link: udpin://HOST:PORT, udpout://HOST:PORT, tcp://HOST:PORT or serial:///dev/NAME:BAUD",
     )
-    system_id: int = setting(
-        0, doc="MAVLink system of the autopilot; 0 takes the first that is heard", low=0, high=255
-    )
+    system_id: int = setting(0, doc="MAVLink system of the autopilot; 0 takes the first that is heard", low=0, high=255)
     own_system_id: int = setting(1, doc="MAVLink system that this computer belongs to", low=1, high=255)
     silence_s: float = setting(
         3.0,
@@ -211,9 +209,7 @@ class Autopilot:
         self.counts["other"] += 1
         return None
 
-    def _attitude(
-        self, message: mavlink.MAVLink_message, q_ned_frd: Quaternion, arrival_ns: int
-    ) -> Attitude | None:
+    def _attitude(self, message: mavlink.MAVLink_message, q_ned_frd: Quaternion, arrival_ns: int) -> Attitude | None:
         norm = math.hypot(*q_ned_frd)
         if not abs(norm - 1) < 0.01:  # also true of NaN
             self.counts["invalid"] += 1

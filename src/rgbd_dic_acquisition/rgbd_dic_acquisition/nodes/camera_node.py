@@ -39,9 +39,7 @@ class CameraNode(Node):
         super().__init__("camera_node")
         self._settings = declare(self, CameraNodeSettings)
         flight = declare(self, FlightSettings, "flight")
-        calibration = declare_path(
-            self, "calibration", "calibration.yaml in place of the source's own", False
-        )
+        calibration = declare_path(self, "calibration", "calibration.yaml in place of the source's own", False)
         self._source: CameraSource = SimulatedCamera(flight, self._say_progress)
         self._done_opening = False
         self._camera = load_calibration(calibration).camera if calibration else self._source.camera

@@ -67,9 +67,7 @@ class Diagnostics:
         self._warning = ""
         self._warned_at = float("-inf")
         self._output = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self._timer = node.create_timer(
-            PERIOD_S, self._publish, clock=Clock(clock_type=ClockType.STEADY_TIME)
-        )
+        self._timer = node.create_timer(PERIOD_S, self._publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def watch(self, publisher: Any) -> WatchedPublisher:
         """Report on a publisher from now on; publish through what this returns."""

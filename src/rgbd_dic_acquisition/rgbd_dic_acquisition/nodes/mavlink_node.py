@@ -43,9 +43,7 @@ class MavlinkNode(Node):
         self._counted: Counter[str] = Counter()
         qos = image_qos(self._settings)
         self._imu = self._diagnostics.watch(self.create_publisher(Imu, "imu/data", qos))
-        self._time = self._diagnostics.watch(
-            self.create_publisher(TimeReference, "autopilot/time_reference", qos)
-        )
+        self._time = self._diagnostics.watch(self.create_publisher(TimeReference, "autopilot/time_reference", qos))
 
     def work(self) -> Iterator[float]:
         """Poll the link and publish what has come."""

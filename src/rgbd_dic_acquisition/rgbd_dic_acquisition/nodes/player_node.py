@@ -25,9 +25,7 @@ STEP_S = 0.05
 class PlayerSettings(Settings):
     """What is played, how fast, and what it waits for."""
 
-    rate: float = setting(
-        1.0, doc="speed; 0 is as fast as the acknowledgements allow", unit="x", low=0.0, high=100.0
-    )
+    rate: float = setting(1.0, doc="speed; 0 is as fast as the acknowledgements allow", unit="x", low=0.0, high=100.0)
     topics: tuple[str, ...] = setting((), doc="topics of the bag to play; empty plays all")
     image_topic: str = setting("camera/image_raw", doc="the images that the graph answers")
     acknowledge_topics: tuple[str, ...] = setting(
@@ -40,9 +38,7 @@ class PlayerSettings(Settings):
     wait_for_matched: tuple[str, ...] = setting(
         (), doc="'NAME COUNT': subscriptions that a topic must have before anything is played"
     )
-    match_timeout_s: float = setting(
-        30.0, doc="longest wait for the subscriptions", unit="s", low=0.1, high=3600.0
-    )
+    match_timeout_s: float = setting(30.0, doc="longest wait for the subscriptions", unit="s", low=0.1, high=3600.0)
     start_delay_s: float = setting(0.0, doc="pause before the first message", unit="s", low=0.0, high=3600.0)
     linger_s: float = setting(
         1.0, doc="pause after the last message, for what is under way", unit="s", low=0.0, high=3600.0

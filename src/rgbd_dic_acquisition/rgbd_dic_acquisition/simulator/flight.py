@@ -30,9 +30,7 @@ _PATTERN, _MOTION, _CAMERA, _TOF, _IMU, _CAMERA_TICKS, _TOF_TICKS, _IMU_TICKS = 
 class FlightSettings(Settings):
     """All of a simulated flight, in groups."""
 
-    seed: int = setting(
-        1, low=0, high=2**31 - 1, doc="of every random number; the same gives the same flight"
-    )
+    seed: int = setting(1, low=0, high=2**31 - 1, doc="of every random number; the same gives the same flight")
     duration_s: float = setting(2.0, unit="s", low=0.05, high=3600.0, doc="length of the recording")
     attitude_noise_rad: float = setting(
         0.002, unit="rad", low=0.0, high=1.0, doc="standard deviation of the IMU's attitude about each axis"

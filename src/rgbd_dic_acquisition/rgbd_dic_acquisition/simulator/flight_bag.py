@@ -43,9 +43,7 @@ class FlightSummary:
     counts: dict[str, int]
 
 
-def simulate_flight(
-    settings: FlightSettings, out: Path | str, progress: Progress | None = None
-) -> FlightSummary:
+def simulate_flight(settings: FlightSettings, out: Path | str, progress: Progress | None = None) -> FlightSummary:
     """Write the bag `out`, in it truth.csv, calibration.yaml and regions.yaml. Same settings, same bytes.
 
     Args:
@@ -59,9 +57,7 @@ def simulate_flight(
     with BagWriter(out, settings.compression) as bag:
         for topic, typename in TOPICS.items():
             bag.add_topic(topic, typename, transient_local=topic == "/tf_static")
-        static = messages.transform_message(
-            make_message, START_NS, flight.calibration, CAMERA_FRAME, TOF_FRAME
-        )
+        static = messages.transform_message(make_message, START_NS, flight.calibration, CAMERA_FRAME, TOF_FRAME)
         bag.write_message("/tf_static", START_NS, static)
         events = _events(flight)
         for done, (arrived_ns, exposed_ns, kind, index) in enumerate(events, start=1):
@@ -99,9 +95,7 @@ def _camera_messages(flight: Flight, exposed_ns: int, index: int) -> Outgoing:
         make_message(
             TOPICS["/crack_opening_truth"],
             header=messages.header_message(make_message, stamp_ns, "panel"),
-            reference_stamp=messages.stamp_message(
-                make_message, START_NS + int(flight.camera_ticks().exposed_ns[0])
-            ),
+            reference_stamp=messages.stamp_message(make_message, START_NS + int(flight.camera_ticks().exposed_ns[0])),
             valid=True,
             opening=crack.opening_m,
             sliding=crack.sliding_m,

@@ -36,9 +36,7 @@ class CameraSettings(Settings):
     supersampling: int = setting(4, low=1, high=32, doc="rays a pixel, in x and in y")
     gain: float = setting(1.0, low=0.0, high=100.0, doc="factor on the scene's grey levels")
     offset: float = setting(0.0, unit="grey levels", low=-255.0, high=255.0, doc="added to every pixel")
-    read_noise: float = setting(
-        0.8, unit="grey levels", low=0.0, high=100.0, doc="standard deviation in the dark"
-    )
+    read_noise: float = setting(0.8, unit="grey levels", low=0.0, high=100.0, doc="standard deviation in the dark")
     shot_noise: float = setting(
         0.003, unit="grey levels", low=0.0, high=10.0, doc="variance of a pixel for each grey level of light"
     )
@@ -105,9 +103,7 @@ class CameraModel:
         with ThreadPoolExecutor(self._workers) as pool:
             return np.concatenate(list(pool.map(render, self._chunks)))
 
-    def expose(
-        self, scene: Scene, pose: Pose, crack: CrackState, rng: np.random.Generator
-    ) -> NDArray[np.uint8]:
+    def expose(self, scene: Scene, pose: Pose, crack: CrackState, rng: np.random.Generator) -> NDArray[np.uint8]:
         """One image (rows, cols) with noise, in 8 bits."""
         s = self.settings
         light = s.gain * self.radiance(scene, pose, crack)
@@ -143,9 +139,7 @@ class TofModel:
         R, t = self._calibration.R_camera_tof, self._calibration.t_camera_tof
         return Pose(R.T @ T_camera_panel.R, R.T @ (T_camera_panel.t - t))
 
-    def expose(
-        self, scene: Scene, T_camera_panel: Pose, crack: CrackState, rng: np.random.Generator
-    ) -> TofImage:
+    def expose(self, scene: Scene, T_camera_panel: Pose, crack: CrackState, rng: np.random.Generator) -> TofImage:
         """One frame."""
         s = self.settings
         sight = scene.look(self._rays, self.pose(T_camera_panel), crack)

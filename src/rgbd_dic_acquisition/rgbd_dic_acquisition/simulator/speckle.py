@@ -34,9 +34,7 @@ class SpeckleSettings(Settings):
     """The pattern painted on the panel."""
 
     kind: str = setting("blobs", doc="blobs (band-limited) or disks (sharp)", choices=("blobs", "disks"))
-    size_m: float = setting(
-        0.006, unit="m", low=1e-5, high=1.0, doc="width of a spot: at half height, or of a disk"
-    )
+    size_m: float = setting(0.006, unit="m", low=1e-5, high=1.0, doc="width of a spot: at half height, or of a disk")
     spacing: float = setting(
         1.45, unit="spot widths", low=0.5, high=10.0, doc="distance between neighbouring spots before jitter"
     )
@@ -47,9 +45,7 @@ class SpeckleSettings(Settings):
     light: float = setting(225.0, unit="grey levels", low=0.0, high=255.0, doc="the ground between spots")
 
 
-def spot_centres(
-    settings: SpeckleSettings, width_m: float, height_m: float, rng: np.random.Generator
-) -> Array:
+def spot_centres(settings: SpeckleSettings, width_m: float, height_m: float, rng: np.random.Generator) -> Array:
     """Centres (rows, cols, 2), x and y [m], of spots on a jittered lattice that covers the panel and more."""
     spacing = settings.size_m * settings.spacing
     cols, rows = (int(np.ceil(side / spacing / 2)) * 2 + 3 for side in (width_m, height_m))
@@ -62,9 +58,7 @@ def spot_centres(
 class BlobPattern:
     """light - (light - dark) * sum of Gaussians / its maximum; a texture for cubic splines."""
 
-    def __init__(
-        self, settings: SpeckleSettings, width_m: float, height_m: float, rng: np.random.Generator
-    ) -> None:
+    def __init__(self, settings: SpeckleSettings, width_m: float, height_m: float, rng: np.random.Generator) -> None:
         self._settings = settings
         self._sigma = settings.size_m / FWHM_SIGMAS
         self.step_m = self._sigma / SAMPLES_PER_SIGMA
@@ -83,9 +77,7 @@ class BlobPattern:
     def grey(self, x_m: Array, y_m: Array) -> Array:
         row = (y_m - self._origin[1]) / self.step_m
         col = (x_m - self._origin[0]) / self.step_m
-        return ndimage.map_coordinates(
-            self._coefficients, [row, col], order=3, mode="mirror", prefilter=False
-        )
+        return ndimage.map_coordinates(self._coefficients, [row, col], order=3, mode="mirror", prefilter=False)
 
     def grey_exact(self, x_m: Array, y_m: Array) -> Array:
         """The same from the formula, spot by spot: slow; what the texture is tested against."""
@@ -105,9 +97,7 @@ class BlobPattern:
 class DiskPattern:
     """Sharp dark disks; exact at every point, so that only supersampling smooths their edges."""
 
-    def __init__(
-        self, settings: SpeckleSettings, width_m: float, height_m: float, rng: np.random.Generator
-    ) -> None:
+    def __init__(self, settings: SpeckleSettings, width_m: float, height_m: float, rng: np.random.Generator) -> None:
         self._settings = settings
         self._centres = spot_centres(settings, width_m, height_m, rng)
 
@@ -125,9 +115,7 @@ class DiskPattern:
         return np.where(inside, self._settings.dark, self._settings.light)
 
 
-def make_pattern(
-    settings: SpeckleSettings, width_m: float, height_m: float, rng: np.random.Generator
-) -> Pattern:
+def make_pattern(settings: SpeckleSettings, width_m: float, height_m: float, rng: np.random.Generator) -> Pattern:
     """The pattern of a panel that is centred on the origin."""
     kind = BlobPattern if settings.kind == "blobs" else DiskPattern
     return kind(settings, width_m, height_m, rng)

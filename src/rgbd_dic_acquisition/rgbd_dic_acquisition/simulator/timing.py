@@ -17,14 +17,10 @@ class TimingSettings(Settings):
     camera_rate_hz: float = setting(60.0, unit="Hz", low=0.1, high=1000.0, doc="images a second")
     tof_rate_hz: float = setting(20.0, unit="Hz", low=0.1, high=1000.0, doc="ToF frames a second")
     imu_rate_hz: float = setting(100.0, unit="Hz", low=0.1, high=2000.0, doc="attitudes a second")
-    camera_skew_ppm: float = setting(
-        38.0, unit="ppm", low=-1e4, high=1e4, doc="how slow the camera's clock is"
-    )
+    camera_skew_ppm: float = setting(38.0, unit="ppm", low=-1e4, high=1e4, doc="how slow the camera's clock is")
     tof_skew_ppm: float = setting(-65.0, unit="ppm", low=-1e4, high=1e4, doc="how slow the ToF clock is")
     tof_phase_s: float = setting(0.0073, unit="s", low=0.0, high=1.0, doc="first ToF frame after first image")
-    jitter_s: float = setting(
-        1e-4, unit="s", low=0.0, high=0.1, doc="standard deviation of an exposure's time"
-    )
+    jitter_s: float = setting(1e-4, unit="s", low=0.0, high=0.1, doc="standard deviation of an exposure's time")
     camera_latency_s: float = setting(0.009, unit="s", low=1e-4, high=10.0, doc="from exposure to arrival")
     tof_latency_s: float = setting(0.043, unit="s", low=1e-4, high=10.0, doc="from exposure to arrival")
     imu_latency_s: float = setting(0.004, unit="s", low=1e-4, high=10.0, doc="from exposure to arrival")
@@ -54,6 +50,4 @@ def ticks(
     jitter = np.clip(jitter_s * rng.standard_normal(count), -limit_s, limit_s)
     exposed_s = limit_s + phase_s + period_s * np.arange(count) + jitter
     delay_s = latency_s + min(0.2 * latency_s, limit_s) * rng.random(count)
-    return Ticks(
-        np.rint(exposed_s * 1e9).astype(np.int64), np.rint((exposed_s + delay_s) * 1e9).astype(np.int64)
-    )
+    return Ticks(np.rint(exposed_s * 1e9).astype(np.int64), np.rint((exposed_s + delay_s) * 1e9).astype(np.int64))

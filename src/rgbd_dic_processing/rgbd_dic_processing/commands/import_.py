@@ -18,19 +18,31 @@ def add_parser(commands: Any) -> None:
     )
     parser.add_argument("--out", type=Path, required=True, help="directory of the bag; must not exist")
     parser.add_argument(
-        "--depth", type=Path, help="folder of depth files: 16-bit PNG [mm], .npy [m, or integers in mm], .ply [m]"
+        "--depth",
+        type=Path,
+        help="folder of depth files: 16-bit PNG [mm], .npy [m, or integers in mm], .ply [m]",
     )
     parser.add_argument(
-        "--distance", type=float, metavar="M", help="distance of a constant plane [m], where there is no depth"
+        "--distance",
+        type=float,
+        metavar="M",
+        help="distance of a constant plane [m], where there is no depth",
     )
     parser.add_argument("--stamps", type=Path, help="CSV with columns image and stamp_s [s]")
     parser.add_argument("--depth-stamps", type=Path, help="CSV with columns depth and stamp_s [s]")
     parser.add_argument(
-        "--frame-rate", type=float, default=30.0, metavar="HZ", help="of images without stamps [Hz] (default: 30)"
+        "--frame-rate",
+        type=float,
+        default=30.0,
+        metavar="HZ",
+        help="of images without stamps [Hz] (default: 30)",
     )
     parser.add_argument("--calibration", type=Path, help="calibration.yaml of the recording")
     parser.add_argument(
-        "--focal", type=float, metavar="PX", help="focal length [px], without a calibration (default: image width)"
+        "--focal",
+        type=float,
+        metavar="PX",
+        help="focal length [px], without a calibration (default: image width)",
     )
     parser.set_defaults(run=run)
 

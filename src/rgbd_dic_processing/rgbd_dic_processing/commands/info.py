@@ -22,9 +22,7 @@ def add_parser(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     with BagReader(options.bag) as bag:
         duration_s = (bag.end_ns - bag.start_ns) * 1e-9
-        print(
-            f"{bag.path}: {sum(topic.count for topic in bag.topics.values())} messages in {duration_s:.3f} s"
-        )
+        print(f"{bag.path}: {sum(topic.count for topic in bag.topics.values())} messages in {duration_s:.3f} s")
         for name, topic in bag.topics.items():
             rate = topic.count / duration_s if duration_s > 0 else float("nan")
             print(f"  {topic.count:6d}  {rate:7.2f} Hz  {name}  ({topic.type})")
@@ -33,9 +31,7 @@ def run(options: argparse.Namespace) -> int:
             check_topics(bag)
             calibration = calibration_of(bag, beside(options.bag, "calibration.yaml"))
             camera = calibration.camera
-            print(
-                f"camera: {camera.width} x {camera.height} px, focal length {camera.fx:.2f}, {camera.fy:.2f} px"
-            )
+            print(f"camera: {camera.width} x {camera.height} px, focal length {camera.fx:.2f}, {camera.fy:.2f} px")
         except RgbdDicError as error:
             problems.append(str(error))
     for name in ("regions.yaml", "calibration.yaml", "truth.csv"):

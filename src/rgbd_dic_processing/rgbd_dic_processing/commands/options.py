@@ -18,9 +18,7 @@ NOTHING_VALID = 3
 
 def add_measurement(parser: argparse.ArgumentParser) -> None:
     """Options of the sub-commands that measure a bag."""
-    parser.add_argument(
-        "--regions", type=Path, help="regions.yaml (default: the one inside the bag's directory)"
-    )
+    parser.add_argument("--regions", type=Path, help="regions.yaml (default: the one inside the bag's directory)")
     parser.add_argument(
         "--calibration", type=Path, help="calibration.yaml (default: the one inside the bag's directory)"
     )
@@ -31,9 +29,7 @@ def add_measurement(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--settings", type=Path, help="settings.yaml, grouped by stage (docs/parameters.md)")
     parser.add_argument("--out", type=Path, required=True, help="folder for the results; made if missing")
-    parser.add_argument(
-        "--truth", type=Path, help="CSV with stamp_ns [ns] and opening_mm [mm] to compare with"
-    )
+    parser.add_argument("--truth", type=Path, help="CSV with stamp_ns [ns] and opening_mm [mm] to compare with")
 
 
 def measurement_settings(options: argparse.Namespace) -> tuple[ProcessingSettings, tuple[str, ...]]:
@@ -62,9 +58,7 @@ def required_file(given: Path | None, bag: Path, name: str) -> Path:
     """
     path = given or beside(bag, name)
     if path is None:
-        raise RgbdDicError(
-            f"no {name} in {bag}: give it with --{name.removesuffix('.yaml')} (see docs/files.md)"
-        )
+        raise RgbdDicError(f"no {name} in {bag}: give it with --{name.removesuffix('.yaml')} (see docs/files.md)")
     return path
 
 

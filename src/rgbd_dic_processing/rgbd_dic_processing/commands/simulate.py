@@ -21,15 +21,9 @@ def add_parser(commands: Any) -> None:
         default="sample",
         help="flight to start from (default: sample, as in bags/)",
     )
-    parser.add_argument(
-        "--settings", type=Path, help="YAML with what differs from the preset (docs/parameters.md)"
-    )
-    parser.add_argument(
-        "--duration", type=float, metavar="S", help="length of the recording [s] (default: 2)"
-    )
-    parser.add_argument(
-        "--seed", type=int, help="of all random numbers (default: 1); the same gives the same bytes"
-    )
+    parser.add_argument("--settings", type=Path, help="YAML with what differs from the preset (docs/parameters.md)")
+    parser.add_argument("--duration", type=float, metavar="S", help="length of the recording [s] (default: 2)")
+    parser.add_argument("--seed", type=int, help="of all random numbers (default: 1); the same gives the same bytes")
     parser.set_defaults(run=run)
 
 

@@ -30,15 +30,13 @@ from ..graph import (
     simulated_sensors,
 )
 from ..processes import GraphProcesses
-from ..recorded import check_topics
+from ..recorded import check_topics, has_clouds
 from ..results import read_truth
 from ..runs import MapSelection, Run
 from .options import add_measurement, beside, finish, measurement_settings, required_file
 from .progress import progress
 
-QUIET_S = (
-    5.0  # the graph has answered all it will when nothing was published for this long after the bag's end
-)
+QUIET_S = 5.0  # the graph has answered all it will when nothing was published for this long after the bag's end
 WINDOW = 16  # images under way; more than a missing ToF frame makes the pairing wait for
 
 
@@ -54,9 +52,7 @@ def add_parser(commands: Any) -> None:
         action="store_true",
         help="play as fast as the graph answers, and lose no frame",
     )
-    parser.add_argument(
-        "--duration", type=float, metavar="S", help="end after this time [s] (default: Ctrl-C)"
-    )
+    parser.add_argument("--duration", type=float, metavar="S", help="end after this time [s] (default: Ctrl-C)")
     parser.add_argument("--namespace", default="", help="pushed on all names (default: none)")
     parser.add_argument("--domain", type=int, help="ROS domain (default: ROS_DOMAIN_ID, else 0)")
     parser.set_defaults(run=run)
@@ -80,15 +76,17 @@ def run(options: argparse.Namespace) -> int:
     truth_path = options.truth or (beside(options.bag, "truth.csv") if options.bag else None)
     if truth_path is not None:
         read_truth(truth_path)  # a malformed one is refused before the flight, not after
-    nodes = processing_nodes(files, settings, methods)
+    use_points = False
     if options.bag:
         with BagReader(options.bag) as bag:
             check_topics(bag)
+            use_points = has_clouds(bag)
             recorded = {name.lstrip("/"): topic.count for name, topic in bag.topics.items()}
         images, topics = recorded["camera/image_raw"], tuple(t for t in SENSOR_TOPICS if t in recorded)
-    else:
-        nodes += simulated_sensors()
+    nodes = processing_nodes(files, settings, methods, use_points)
+    if not options.bag:
         images, topics = None, ()
+        nodes += simulated_sensors()
     nodes.append(recorder(output, tuple(dict.fromkeys((*topics, *all_topics(nodes))))))
     openings, facts = _run_graph(options, nodes, topics, methods, images)
     result = _collect(openings, output, settings, files, str(options.bag or "simulated sensors"), facts)
@@ -111,9 +109,7 @@ def _run_graph(
         def show(opening: CrackOpening) -> None:
             if opening.method == methods[0]:
                 bar.update()
-                value = (
-                    f"{opening.opening_m * 1e3:+.3f} mm" if opening.valid else f"invalid: {opening.reason}"
-                )
+                value = f"{opening.opening_m * 1e3:+.3f} mm" if opening.valid else f"invalid: {opening.reason}"
                 bar.set_postfix_str(f"opening {value}", refresh=False)
 
         processes = GraphProcesses(options.out / "logs", options.bag is not None, options.namespace)
@@ -158,9 +154,7 @@ def _over(options: argparse.Namespace, started: float) -> bool:
     return options.duration is not None and time.monotonic() - started > options.duration
 
 
-def _facts(
-    openings: list[CrackOpening], methods: tuple[str, ...], images: int | None, took_s: float
-) -> dict[str, Any]:
+def _facts(openings: list[CrackOpening], methods: tuple[str, ...], images: int | None, took_s: float) -> dict[str, Any]:
     """Images, frames lost, frame rate and latency of the first method."""
     answered = Counter(opening.method for opening in openings)
     facts: dict[str, Any] = {"images": images if images is not None else answered[methods[0]]}
@@ -190,9 +184,7 @@ def _collect(
     selection, reference = MapSelection(), None
     with BagReader(bag_path) as bag:
         facts["messages recorded"] = sum(topic.count for topic in bag.topics.values())
-        fields = [
-            name for name, topic in bag.topics.items() if topic.type == "rgbd_dic_msgs/msg/DisplacementField"
-        ]
+        fields = [name for name, topic in bag.topics.items() if topic.type == "rgbd_dic_msgs/msg/DisplacementField"]
         for _, _, message in bag.messages(fields):
             field = displacement_field_from_message(message)
             selection.add(field, by_frame.get((field.method, field.stamp_ns)))

@@ -49,15 +49,11 @@ class CorrelationSettings(Settings):
     tolerance_px: float = setting(
         1e-4, unit="px", low=1e-6, high=0.1, doc="Converged when the increment moves no edge by more."
     )
-    min_zncc: float = setting(
-        0.8, low=-1.0, high=1.0, doc="Lowest correlation coefficient of a valid subset."
-    )
+    min_zncc: float = setting(0.8, low=-1.0, high=1.0, doc="Lowest correlation coefficient of a valid subset.")
     min_contrast: float = setting(
         2.0, unit="grey levels", low=0.0, doc="Lowest standard deviation of the reference subset's pixels."
     )
-    max_shift_px: float = setting(
-        10.0, unit="px", low=0.1, high=1000.0, doc="Longest way from the seed, per axis."
-    )
+    max_shift_px: float = setting(10.0, unit="px", low=0.1, high=1000.0, doc="Longest way from the seed, per axis.")
     threads: int = setting(0, low=0, high=1024, doc="Threads; 0 for all cores. Results do not depend on it.")
 
     def __post_init__(self) -> None:
@@ -163,9 +159,7 @@ class ReferenceSubsets:
         """
         seeds = np.ascontiguousarray(seeds, dtype=np.float64)
         if seeds.shape != (len(self), 2, 6):
-            raise ImageError(
-                f"seeds: expected shape ({len(self)}, 2, 6), one seed a subset, got {seeds.shape}"
-            )
+            raise ImageError(f"seeds: expected shape ({len(self)}, 2, 6), one seed a subset, got {seeds.shape}")
         if indices is not None:
             indices = self._checked(np.asarray(indices))
         settings = self.settings
@@ -185,9 +179,7 @@ class ReferenceSubsets:
 
     def _checked(self, indices: NDArray) -> NDArray[np.int32]:
         if indices.ndim != 1 or (indices.size and not np.issubdtype(indices.dtype, np.integer)):
-            raise ImageError(
-                f"indices: expected integers of shape (M,), got {indices.dtype} of {indices.shape}"
-            )
+            raise ImageError(f"indices: expected integers of shape (M,), got {indices.dtype} of {indices.shape}")
         outside = (indices < 0) | (indices >= len(self))
         if outside.any():
             raise ImageError(f"indices: {int(indices[outside][0])} is not one of the {len(self)} subsets")

@@ -143,9 +143,7 @@ class _ZoneLayout:
         reference pixels to panel coordinates, taken where the direction was given.
         """
         to_panel = fit_homography(camera.undistort(self.centres_px), position_m)
-        ends = apply_homography(
-            to_panel, camera.undistort(zones.point + np.outer((-0.5, 0.5), zones.direction))
-        )
+        ends = apply_homography(to_panel, camera.undistort(zones.point + np.outer((-0.5, 0.5), zones.direction)))
         along = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
         return np.array([[along[1], -along[0]], [along[0], along[1]]])
 

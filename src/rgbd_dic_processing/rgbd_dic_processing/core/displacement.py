@@ -75,9 +75,7 @@ class DisplacementMeasurement:
 
     def set_reference(self, reference: Reference) -> list[DisplacementField]:
         """A reference was taken. Fields of it that came earlier wait for it."""
-        self._references[reference.stamp_ns] = _ReferenceState(
-            self._camera, self._regions, self._settings, reference
-        )
+        self._references[reference.stamp_ns] = _ReferenceState(self._camera, self._regions, self._settings, reference)
         while len(self._references) > 2:
             self._references.pop(next(iter(self._references)))
         return self._measure_all(self._join.add_reference(reference.stamp_ns))
@@ -145,9 +143,7 @@ class DisplacementMeasurement:
 class _ReferenceState:
     """What is computed once per reference."""
 
-    def __init__(
-        self, camera: Camera, regions: Regions, settings: CompensationSettings, reference: Reference
-    ):
+    def __init__(self, camera: Camera, regions: Regions, settings: CompensationSettings, reference: Reference):
         self.camera, self.regions, self.settings, self.reference = camera, regions, settings, reference
         centres = reference.centres_px.astype(float)
         self.ideal_px = camera.undistort(centres)

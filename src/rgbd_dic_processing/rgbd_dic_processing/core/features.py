@@ -28,9 +28,7 @@ class FeatureMatcher:
         if self._descriptors is None or descriptors is None:
             return np.zeros((0, 2)), np.zeros((0, 2))
         pairs = cv2.BFMatcher(cv2.NORM_L2).knnMatch(self._descriptors, descriptors, k=2)
-        good = [
-            pair[0] for pair in pairs if len(pair) == 2 and pair[0].distance < self.RATIO * pair[1].distance
-        ]
+        good = [pair[0] for pair in pairs if len(pair) == 2 and pair[0].distance < self.RATIO * pair[1].distance]
         source = np.array([self._points[match.queryIdx].pt for match in good], float).reshape(-1, 2)
         moved = np.array([points[match.trainIdx].pt for match in good], float).reshape(-1, 2)
         return source, moved

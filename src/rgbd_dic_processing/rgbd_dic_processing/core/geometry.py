@@ -132,9 +132,7 @@ class SeedMaps:
     def __init__(self, camera: Camera, centres_px: Array, reach_px: float):
         self._camera = camera
         self._reach = reach_px
-        offsets = np.array(
-            [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1), (1, -1), (-1, 1)], float
-        )
+        offsets = np.array([(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1), (1, -1), (-1, 1)], float)
         stencil = np.asarray(centres_px, float)[None] + reach_px * offsets[:, None]
         self._ideal = camera.undistort(stencil.reshape(-1, 2))
 

@@ -59,9 +59,7 @@ class FrameJoin:
         while self._fields:
             stamp = next(iter(self._fields))
             pair = self._pairs.get(stamp)
-            plane = (
-                self._planes.get(pair.depth_stamp_ns) if pair and pair.depth_stamp_ns is not None else None
-            )
+            plane = self._planes.get(pair.depth_stamp_ns) if pair and pair.depth_stamp_ns is not None else None
             paired = pair is not None and (pair.depth_stamp_ns is None or plane is not None)
             complete = paired and self._fields[stamp].reference_stamp_ns in self._references
             if not complete and len(self._fields) <= keep:

@@ -50,14 +50,10 @@ class Pipeline:
             method: DisplacementMeasurement(camera, regions, replace(settings.compensation, method=method))
             for method in methods
         }
-        self.crack = (
-            CrackMeasurement(camera, regions.crack, settings.crack) if regions.crack is not None else None
-        )
+        self.crack = CrackMeasurement(camera, regions.crack, settings.crack) if regions.crack is not None else None
         self._reference: Reference | None = None
 
-    def add_image(
-        self, stamp_ns: int, image: NDArray[np.uint8] | None, reason: str = ""
-    ) -> list[Measurement]:
+    def add_image(self, stamp_ns: int, image: NDArray[np.uint8] | None, reason: str = "") -> list[Measurement]:
         """An image (rows, cols), mono8; None with a reason if it could not be read."""
         pairs = self.pairing.add_image(stamp_ns)
         field = self.tracking.track(stamp_ns, image, reason)
@@ -66,12 +62,15 @@ class Pipeline:
         self._reference = self.tracking.reference
         return self._measure(self._reference if renewed else None, field, pairs, planes)
 
-    def add_depth(
-        self, stamp_ns: int, depth_m: NDArray[np.float32] | None, reason: str = ""
-    ) -> list[Measurement]:
+    def add_depth(self, stamp_ns: int, depth_m: NDArray[np.float32] | None, reason: str = "") -> list[Measurement]:
         """A ToF depth image (rows, cols) [m], NaN invalid; None with a reason if it could not be read."""
         pairs = self.pairing.add_depth(stamp_ns)
         return self._measure(None, None, pairs, self.planes.add_depth(stamp_ns, depth_m, reason))
+
+    def add_points(self, stamp_ns: int, points_m: NDArray[np.float64] | None, reason: str = "") -> list[Measurement]:
+        """A ToF point cloud (N, 3) in the ToF frame [m]; None with a reason if it could not be read."""
+        pairs = self.pairing.add_depth(stamp_ns)
+        return self._measure(None, None, pairs, self.planes.add_points(stamp_ns, points_m, reason))
 
     def flush(self) -> list[Measurement]:
         """No more is coming: measure the frames that still wait."""

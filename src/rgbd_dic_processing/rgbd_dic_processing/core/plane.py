@@ -22,9 +22,7 @@ Array = NDArray[np.float64]
 MSAC_POINTS = 1000  # points of the sample consensus; the fit after it takes all
 MSAC_TRIALS = 200
 LEAST_SIGMA_M = 1e-5  # no depth is believed to be better than this, not even a constant plane's
-VIEW_LIMIT_S = (
-    0.25  # a ToF frame farther than this from every image has no view to carry the panel region into
-)
+VIEW_LIMIT_S = 0.25  # a ToF frame farther than this from every image has no view to carry the panel region into
 
 
 @dataclass(frozen=True)
@@ -99,9 +97,7 @@ def fit_plane(points_m: Array, settings: PlaneSettings) -> tuple[Plane, NDArray[
     residuals = (inverse - rays @ pi) * scale
     rms = float(np.sqrt(np.mean(residuals[inliers] ** 2)))
     if rms > settings.max_residual_m:
-        raise MeasurementError(
-            f"plane residual {rms * 1e3:.1f} mm RMS is above {settings.max_residual_m * 1e3:.1f} mm"
-        )
+        raise MeasurementError(f"plane residual {rms * 1e3:.1f} mm RMS is above {settings.max_residual_m * 1e3:.1f} mm")
     # Huber 1981, 7.6: the covariance of an M-estimate with psi(r) = r w(r), here Tukey's
     u2 = np.square(residuals[inliers] / (4.685 * sigma))
     slope = np.mean((1 - u2) * (1 - 5 * u2))
@@ -121,20 +117,22 @@ class PanelPlane:
 
     def __init__(self, calibration: Calibration, panel_px: Array, settings: PlaneSettings):
         if calibration.tof is None:
-            raise CalibrationError(
-                "the calibration has no 'tof': planes need its intrinsics and T_camera_tof"
-            )
+            raise CalibrationError("the calibration has no 'tof': planes need its intrinsics and T_camera_tof")
         self._calibration = calibration
         self._settings = settings
         self._mask = polygon_mask(panel_px, calibration.camera.width, calibration.camera.height)
-        self._rays = _pixel_rays(calibration.tof)
+        self._rays = None if calibration.tof is None else _pixel_rays(calibration.tof)
         self._waiting: deque[tuple[int, Array | None, str]] = deque()
         self._views: deque[tuple[int, Array | None]] = deque(maxlen=64)
 
-    def add_depth(
-        self, stamp_ns: int, depth_m: NDArray[np.float32] | None, reason: str = ""
-    ) -> list[PlaneEstimate]:
-        """A ToF depth image (rows, cols) [m], NaN invalid; None with a reason if it could not be read."""
+    def add_depth(self, stamp_ns: int, depth_m: NDArray[np.float32] | None, reason: str = "") -> list[PlaneEstimate]:
+        """A ToF depth image (rows, cols) [m], NaN invalid; None with a reason if it could not be read.
+
+        Raises:
+            CalibrationError: if the calibration has no ToF sensor.
+        """
+        if self._rays is None:
+            raise CalibrationError("the calibration has no 'tof': depth images need its intrinsics and extrinsics")
         points = None
         if depth_m is not None:
             tof = self._calibration.tof
@@ -178,9 +176,7 @@ class PanelPlane:
             return PlaneEstimate(stamp_ns, FrameStatus.BAD_DEPTH, "the ToF frame has no valid pixel")
         view = min(self._views, key=lambda entry: abs(entry[0] - stamp_ns), default=None)
         if view is None or abs(view[0] - stamp_ns) > VIEW_LIMIT_S * 1e9 or view[1] is None:
-            return PlaneEstimate(
-                stamp_ns, FrameStatus.NO_PLANE, "no image near it in which the panel was found"
-            )
+            return PlaneEstimate(stamp_ns, FrameStatus.NO_PLANE, "no image near it in which the panel was found")
         on_panel = self._panel_points(points_m, view[1])
         if len(on_panel) < self._settings.min_points:
             return PlaneEstimate(
@@ -199,9 +195,7 @@ class PanelPlane:
         """The points, in the camera frame, whose projection (Eq. 4.1) falls into the panel region of the reference."""
         camera = self._calibration.camera
         points = points_m @ self._calibration.R_camera_tof.T + self._calibration.t_camera_tof
-        near_enough = (points[:, 2] >= self._settings.min_distance_m) & (
-            points[:, 2] <= self._settings.max_distance_m
-        )
+        near_enough = (points[:, 2] >= self._settings.min_distance_m) & (points[:, 2] <= self._settings.max_distance_m)
         points = points[near_enough]
         reference = camera.distort(apply_homography(np.linalg.inv(homography), camera.project(points)))
         with np.errstate(invalid="ignore"):

@@ -50,9 +50,7 @@ def realign_to_axis(camera: Camera, plane: Plane, axis_px: Array) -> Realignment
     start, end = plane.points(camera.rays(camera.undistort(axis_px)))
     x = end - start
     if not np.all(np.isfinite(x)) or np.linalg.norm(x) < 1e-6:
-        raise RegionsError(
-            f"x_axis: the points {np.asarray(axis_px).tolist()} do not lie on the panel's plane"
-        )
+        raise RegionsError(f"x_axis: the points {np.asarray(axis_px).tolist()} do not lie on the panel's plane")
     return _realignment(camera, plane, x)
 
 

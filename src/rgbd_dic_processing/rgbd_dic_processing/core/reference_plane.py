@@ -51,9 +51,7 @@ class ReferencePlane:
             MeasurementError: if the motion back to the reference cannot be estimated.
         """
         start = pose_from_homography(self._camera, np.linalg.inv(seed), plane)
-        (R, t), *_ = fit_pose(
-            self._camera, moved_px, reference_px, sigma_px, plane, start, self._robust_sigmas
-        )
+        (R, t), *_ = fit_pose(self._camera, moved_px, reference_px, sigma_px, plane, start, self._robust_sigmas)
         carried = plane.moved(R, t)
         if carried.normal[2] <= 0 or carried.d >= 0:
             raise MeasurementError("a ToF plane, carried to the reference, lies behind the camera")

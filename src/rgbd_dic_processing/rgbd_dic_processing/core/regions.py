@@ -34,9 +34,7 @@ class CrackZones:
     direction: Array
 
     @classmethod
-    def from_point(
-        cls, point: Array, direction: Array, across: float, along: float, gap: float
-    ) -> CrackZones:
+    def from_point(cls, point: Array, direction: Array, across: float, along: float, gap: float) -> CrackZones:
         """Two rectangles, symmetric about the crack line through `point` (thesis 4.4.2).
 
         Args:
@@ -47,9 +45,7 @@ class CrackZones:
         """
         tangent = _oriented(direction)
         normal = np.array([tangent[1], -tangent[0]])
-        corners = np.array(
-            [(gap, -along / 2), (gap + across, -along / 2), (gap + across, along / 2), (gap, along / 2)]
-        )
+        corners = np.array([(gap, -along / 2), (gap + across, -along / 2), (gap + across, along / 2), (gap, along / 2)])
         right = point + corners[:, :1] * normal + corners[:, 1:] * tangent
         left = point - corners[:, :1] * normal + corners[:, 1:] * tangent
         return cls(left, right, np.asarray(point, float), tangent)
@@ -58,9 +54,7 @@ class CrackZones:
     def from_rectangles(cls, left: Array, right: Array, direction: Array | None = None) -> CrackZones:
         """Two rectangles [x0, y0, x1, y1] [px]. Without a direction the crack is taken to be at right angles to the
         line between their centres; the normal points from left to right."""
-        boxes = [
-            np.array([(b[0], b[1]), (b[2], b[1]), (b[2], b[3]), (b[0], b[3])], float) for b in (left, right)
-        ]
+        boxes = [np.array([(b[0], b[1]), (b[2], b[1]), (b[2], b[3]), (b[0], b[3])], float) for b in (left, right)]
         centres = [box.mean(axis=0) for box in boxes]
         between = centres[1] - centres[0]
         tangent = np.array([-between[1], between[0]]) if direction is None else np.asarray(direction, float)
@@ -178,9 +172,7 @@ def load_regions(path: Path | str) -> Regions:
         raise RegionsError(f"{path}: needs an entry 'panel' (see docs/files.md)")
     unknown = sorted(set(content) - {"panel", "fixed", "x_axis", "crack"})
     if unknown:
-        raise RegionsError(
-            f"{path}: unknown entry {', '.join(unknown)}; known are panel, fixed, x_axis, crack"
-        )
+        raise RegionsError(f"{path}: unknown entry {', '.join(unknown)}; known are panel, fixed, x_axis, crack")
     try:
         return Regions(
             panel=_points(content["panel"], "panel", least=3),
@@ -226,12 +218,8 @@ def _crack(value: Any) -> CrackZones | None:
         across, along = _numbers(value["size"], "crack: size", 2)
         gap = float(_numbers([value.get("gap", 0)], "crack: gap", 1)[0])
         if across <= 0 or along <= 0 or gap < 0:
-            raise RegionsError(
-                f"crack: size {across:g} x {along:g} px must be above 0, gap {gap:g} px not below 0"
-            )
-        return CrackZones.from_point(
-            _numbers(value["point"], "crack: point", 2), direction, across, along, gap
-        )
+            raise RegionsError(f"crack: size {across:g} x {along:g} px must be above 0, gap {gap:g} px not below 0")
+        return CrackZones.from_point(_numbers(value["point"], "crack: point", 2), direction, across, along, gap)
     raise RegionsError("crack: give either left and right, or point, direction and size (see docs/files.md)")
 
 

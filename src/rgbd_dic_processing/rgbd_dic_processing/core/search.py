@@ -64,9 +64,7 @@ class SubsetSearch:
         self._history: list[tuple[int, Array]] = []
         self._offsets = np.zeros_like(self._centres)
 
-    def find(
-        self, stamp_ns: int, image: NDArray[np.uint8], target: Target
-    ) -> tuple[Guess | None, SeedSource]:
+    def find(self, stamp_ns: int, image: NDArray[np.uint8], target: Target) -> tuple[Guess | None, SeedSource]:
         """The guess for an image and where it came from; None if the panel was not found."""
         for homography in self._predictions(stamp_ns):
             refined = self._confirm(target, Guess(homography, self._offsets))
@@ -93,9 +91,7 @@ class SubsetSearch:
         for _ in range(self._settings.rounds):
             offsets = self._away(guess.homography, moved)
             found = np.isfinite(offsets[:, 0])
-            missing = np.flatnonzero(
-                ~found & ~np.isin(moved.status, (SubsetStatus.LOW_TEXTURE, SubsetStatus.SKIPPED))
-            )
+            missing = np.flatnonzero(~found & ~np.isin(moved.status, (SubsetStatus.LOW_TEXTURE, SubsetStatus.SKIPPED)))
             chosen = []
             for index in missing:
                 near = offsets[[other for other in around[index] if found[other]]]
@@ -104,9 +100,7 @@ class SubsetSearch:
                     chosen.append(index)
             if not chosen:
                 break
-            again = self._subsets.correlate(
-                target, self.seeds(Guess(guess.homography, tried)), np.array(chosen)
-            )
+            again = self._subsets.correlate(target, self.seeds(Guess(guess.homography, tried)), np.array(chosen))
             moved = moved.replaced(np.array(chosen), again)
             if not np.any(again.valid):
                 break
@@ -137,9 +131,7 @@ class SubsetSearch:
         moved = self._subsets.correlate(target, self.seeds(guess), self._probes)
         if np.mean(moved.valid) < self._settings.min_found:
             return None
-        homography = self._fit(
-            np.column_stack([moved.x_px, moved.y_px]) - guess.offsets_px[self._probes], self._probes
-        )
+        homography = self._fit(np.column_stack([moved.x_px, moved.y_px]) - guess.offsets_px[self._probes], self._probes)
         return None if homography is None else Guess(homography, guess.offsets_px)
 
     def _fit(self, moved_px: Array, chosen: NDArray[np.intp] | slice = slice(None)) -> Array | None:
@@ -163,9 +155,7 @@ class SubsetSearch:
         if len(source) < 8:
             return None
         ideal = self._camera.undistort(source)
-        homography, _ = cv2.findHomography(
-            ideal, self._camera.undistort(moved), cv2.RANSAC, 3.0, maxIters=5000
-        )
+        homography, _ = cv2.findHomography(ideal, self._camera.undistort(moved), cv2.RANSAC, 3.0, maxIters=5000)
         if homography is None or not np.isfinite(apply_homography(homography, self._ideal)).all():
             return None
         away = moved - self._camera.distort(apply_homography(homography, ideal))

@@ -18,9 +18,7 @@ from .correlation import CorrelationSettings
 class SearchSettings(Settings):
     """The initial guess of each frame."""
 
-    probes: int = setting(
-        48, unit="subsets", low=8, high=1000, doc="Subsets that test a guess before all are run."
-    )
+    probes: int = setting(48, unit="subsets", low=8, high=1000, doc="Subsets that test a guess before all are run.")
     min_found: float = setting(
         0.5, low=0.1, high=1.0, doc="Share of the probes that must be found for a guess to be taken."
     )
@@ -60,13 +58,9 @@ class PlaneSettings(Settings):
     """The plane through the ToF points of the panel."""
 
     min_points: int = setting(50, unit="points", low=3, high=100000, doc="Fewest ToF points on the panel.")
-    min_inliers: float = setting(
-        0.5, low=0.05, high=1.0, doc="Smallest share of them that must lie on the plane."
-    )
+    min_inliers: float = setting(0.5, low=0.05, high=1.0, doc="Smallest share of them that must lie on the plane.")
     min_distance_m: float = setting(0.1, unit="m", low=0.0, high=100.0, doc="Nearer ToF points are dropped.")
-    max_distance_m: float = setting(
-        10.0, unit="m", low=0.0, high=1000.0, doc="Farther ToF points are dropped."
-    )
+    max_distance_m: float = setting(10.0, unit="m", low=0.0, high=1000.0, doc="Farther ToF points are dropped.")
     max_residual_m: float = setting(
         0.03, unit="m", low=0.0005, high=1.0, doc="Largest residual RMS of a plane that is believed."
     )
@@ -79,9 +73,7 @@ class CompensationSettings(Settings):
     method: str = setting(
         "h_pose", choices=("h_pose", "h_3d", "h_2d", "pc_3d"), doc="How the motion is estimated and removed."
     )
-    min_subsets: int = setting(
-        12, unit="subsets", low=4, high=100000, doc="Fewest valid subsets in the fixed region."
-    )
+    min_subsets: int = setting(12, unit="subsets", low=4, high=100000, doc="Fewest valid subsets in the fixed region.")
     inlier_px: float = setting(
         1.0,
         unit="px",
@@ -133,10 +125,7 @@ class ProcessingSettings:
         unknown = sorted(set(content) - set(stages))
         if unknown:
             raise SettingsError(f"{where}: unknown group {', '.join(unknown)}; known are {', '.join(stages)}")
-        made = {
-            name: stages[name].from_mapping(group or {}, f"{where}: {name}")
-            for name, group in content.items()
-        }
+        made = {name: stages[name].from_mapping(group or {}, f"{where}: {name}") for name, group in content.items()}
         return cls(**made)
 
     def as_dict(self) -> dict[str, dict[str, Any]]:

@@ -61,9 +61,7 @@ class SubsetField:
 class SubsetTracking:
     """Takes the first image, or the next one after `renew_reference`, as the reference and follows its subsets."""
 
-    def __init__(
-        self, camera: Camera, regions: Regions, correlation: CorrelationSettings, search: SearchSettings
-    ):
+    def __init__(self, camera: Camera, regions: Regions, correlation: CorrelationSettings, search: SearchSettings):
         self._camera, self._regions = camera, regions
         self._correlation, self._search_settings = correlation, search
         self.reference: Reference | None = None
@@ -84,8 +82,7 @@ class SubsetTracking:
         size = (self._camera.height, self._camera.width)
         if image is not None and image.shape != size:
             reason = (
-                f"image is {image.shape[1]} x {image.shape[0]} px, the calibrated camera has "
-                f"{size[1]} x {size[0]} px"
+                f"image is {image.shape[1]} x {image.shape[0]} px, the calibrated camera has {size[1]} x {size[0]} px"
             )
         if image is None or reason:
             return self._nothing(stamp_ns, FrameStatus.BAD_IMAGE, reason)
@@ -97,12 +94,8 @@ class SubsetTracking:
         else:
             guess, source = self._search.find(stamp_ns, image, target)
         if guess is None:
-            return self._nothing(
-                stamp_ns, FrameStatus.LOST, "the reference pattern was not found in the image"
-            )
-        moved = self._search.complete(
-            target, guess, self._subsets.correlate(target, self._search.seeds(guess))
-        )
+            return self._nothing(stamp_ns, FrameStatus.LOST, "the reference pattern was not found in the image")
+        moved = self._search.complete(target, guess, self._subsets.correlate(target, self._search.seeds(guess)))
         self._search.remember(stamp_ns, guess, moved)
         return SubsetField(
             stamp_ns,

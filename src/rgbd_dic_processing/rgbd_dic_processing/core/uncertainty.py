@@ -29,9 +29,7 @@ def overlap_correlation(centres_px: Array, subset_size: int) -> csr_matrix:
     )
 
 
-def linear_covariance(
-    sensitivity: Array, sigma: Array, correlation: csr_matrix, chosen: NDArray[np.intp]
-) -> Array:
+def linear_covariance(sensitivity: Array, sigma: Array, correlation: csr_matrix, chosen: NDArray[np.intp]) -> Array:
     """Covariance (p, p) of parameters that depend linearly on the coordinates of chosen subsets.
 
     Args:

@@ -32,9 +32,7 @@ class CrackOpeningNode(Node):
         self._zones = regions.crack
         self._settings = declare(self, CrackSettings, "crack")
         self._diagnostics = Diagnostics(self)
-        self._output = self._diagnostics.watch(
-            self.create_publisher(CrackOpening, "crack_opening", STREAM_DEPTH)
-        )
+        self._output = self._diagnostics.watch(self.create_publisher(CrackOpening, "crack_opening", STREAM_DEPTH))
         self._camera = CameraInput(self, self._diagnostics, self._start)
 
     def _start(self, camera: Camera) -> None:

@@ -42,9 +42,7 @@ class DicNode(Node):
         self._reference_output = self._diagnostics.watch(
             self.create_publisher(ReferenceMessage, "reference", latched_qos())
         )
-        self._output = self._diagnostics.watch(
-            self.create_publisher(SubsetFieldMessage, "subset_field", STREAM_DEPTH)
-        )
+        self._output = self._diagnostics.watch(self.create_publisher(SubsetFieldMessage, "subset_field", STREAM_DEPTH))
         self._camera = CameraInput(self, self._diagnostics, self._start)
         self.create_service(Trigger, "~/set_reference", self._set_reference)
         qos = image_qos(declare(self, QosSettings, "image_qos"))
@@ -57,9 +55,7 @@ class DicNode(Node):
         response.success = self._tracking is not None
         if self._tracking is not None:
             self._tracking.renew_reference()
-        response.message = (
-            "the next image becomes the reference" if response.success else "no camera_info yet"
-        )
+        response.message = "the next image becomes the reference" if response.success else "no camera_info yet"
         return response
 
     def _image(self, message: Image) -> None:

@@ -25,14 +25,10 @@ class CameraInput:
 
     def __init__(self, node: Node, diagnostics: Diagnostics, on_camera: Callable[[Camera], None]):
         self._diagnostics, self._on_camera = diagnostics, on_camera
-        path = declare_path(
-            node, "calibration_file", "calibration.yaml; camera_info is used if empty", required=False
-        )
+        path = declare_path(node, "calibration_file", "calibration.yaml; camera_info is used if empty", required=False)
         self.calibration: Calibration | None = load_calibration(path) if path else None
         self.camera: Camera | None = None
-        self._subscription = node.create_subscription(
-            CameraInfo, "camera/camera_info", self._camera_info, STREAM_DEPTH
-        )
+        self._subscription = node.create_subscription(CameraInfo, "camera/camera_info", self._camera_info, STREAM_DEPTH)
         self._checked = False
         if self.calibration is not None:
             self._take(self.calibration.camera)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from rclpy.node import Node
+from rgbd_dic_acquisition.in_flight import header_stamp_ns
 from rgbd_dic_acquisition.messages import stamp_to_ns
 from rgbd_dic_acquisition.nodes.diagnostics import Diagnostics
 from rgbd_dic_acquisition.nodes.parameters import declare
 from rgbd_dic_acquisition.nodes.ros_messages import make
 from rgbd_dic_acquisition.nodes.spinning import run
-from sensor_msgs.msg import CameraInfo
+from sensor_msgs.msg import CameraInfo, PointCloud2
 
 from rgbd_dic_msgs.msg import FramePair as FramePairMessage
 
@@ -24,12 +25,13 @@ class PairingNode(Node):
         self._pairing = FramePairing(declare(self, PairingSettings, "pairing"))
         self._frame_id = ""
         self._diagnostics = Diagnostics(self)
-        self._output = self._diagnostics.watch(
-            self.create_publisher(FramePairMessage, "frame_pair", STREAM_DEPTH)
-        )
+        self._output = self._diagnostics.watch(self.create_publisher(FramePairMessage, "frame_pair", STREAM_DEPTH))
         self._idle = IdleFlush(self, lambda: self._publish(self._pairing.flush()))
         self.create_subscription(CameraInfo, "camera/camera_info", self._image, STREAM_DEPTH)
-        self.create_subscription(CameraInfo, "tof/depth/camera_info", self._depth, STREAM_DEPTH)
+        if self.declare_parameter("use_points", False).value:
+            self.create_subscription(PointCloud2, "tof/points", self._points, STREAM_DEPTH, raw=True)
+        else:
+            self.create_subscription(CameraInfo, "tof/depth/camera_info", self._depth, STREAM_DEPTH)
 
     def _image(self, info: CameraInfo) -> None:
         self._frame_id = info.header.frame_id
@@ -39,6 +41,10 @@ class PairingNode(Node):
     def _depth(self, info: CameraInfo) -> None:
         self._idle.touch()
         self._publish(self._pairing.add_depth(stamp_to_ns(info.header.stamp)))
+
+    def _points(self, serialised: bytes) -> None:
+        self._idle.touch()
+        self._publish(self._pairing.add_depth(header_stamp_ns(serialised)))
 
     def _publish(self, pairs: list[FramePair]) -> None:
         for pair in pairs:

@@ -34,8 +34,7 @@ class PlaneNode(Node):
         self._diagnostics = Diagnostics(self)
         self._output = self._diagnostics.watch(self.create_publisher(PlaneStamped, "plane", STREAM_DEPTH))
         self._idle = IdleFlush(self, lambda: self._publish(self._planes.flush()))
-        use_points = self.declare_parameter("use_points", False).value
-        if use_points:
+        if self.declare_parameter("use_points", False).value:
             self.create_subscription(PointCloud2, "tof/points", self._points, STREAM_DEPTH)
         else:
             self.create_subscription(Image, "tof/depth/image_raw", self._depth, STREAM_DEPTH)

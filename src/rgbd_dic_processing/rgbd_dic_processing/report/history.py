@@ -36,9 +36,7 @@ def draw(methods: Sequence[Series], truth: Truth | None, folder: Path) -> list[P
     failures = len(states(methods, with_valid=False))
     heights = [3.2] + [0.25 + 0.28 * failures] * bool(failures) + [1.25] * len(compared)
     figure = new_figure(9.0, 0.6 + sum(heights) + 0.2 * len(heights))
-    panels = figure.subplots(
-        len(heights), 1, sharex=True, squeeze=False, gridspec_kw={"height_ratios": heights}
-    )[:, 0]
+    panels = figure.subplots(len(heights), 1, sharex=True, squeeze=False, gridspec_kw={"height_ratios": heights})[:, 0]
     _draw_openings(panels[0], methods)
     if failures:
         draw_states(panels[1], methods, with_valid=False)
@@ -79,9 +77,7 @@ def _draw_openings(axes: Axes, methods: Sequence[Series]) -> None:
 
 def _opening_range(methods: Sequence[Series]) -> tuple[float, float]:
     """All openings and truths [mm] and nearly all bands: one huge uncertainty must not flatten the rest."""
-    values = np.concatenate(
-        [np.zeros(1)] + [v for series in methods for v in (series.opening_mm, series.truth_mm)]
-    )
+    values = np.concatenate([np.zeros(1)] + [v for series in methods for v in (series.opening_mm, series.truth_mm)])
     bands = np.concatenate([2 * series.u_mm for series in methods])
     bands = bands[np.isfinite(bands)]
     low, high = np.nanmin(values), np.nanmax(values)

@@ -54,9 +54,7 @@ def _distinct(
     ]
 
 
-def _draw_field(
-    run: Run, regions: Regions | None, field: DisplacementField, title: str, path: Path
-) -> Picture:
+def _draw_field(run: Run, regions: Regions | None, field: DisplacementField, title: str, path: Path) -> Picture:
     sides = sides_of(regions, field)
     neither = ~np.any([side.members for side in sides], axis=0)
     shown = [0, 1] + [2] * bool(np.isfinite(field.displacement_m[:, 2]).any())

@@ -20,9 +20,7 @@ from .summary import failures, summarise
 TEMPLATE = "page.html.j2"
 
 
-def write(
-    path: Path, run: Run, methods: Sequence[Series], truth: Truth | None, pictures: Sequence[Picture]
-) -> Path:
+def write(path: Path, run: Run, methods: Sequence[Series], truth: Truth | None, pictures: Sequence[Picture]) -> Path:
     """Write the page and return its path."""
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent),

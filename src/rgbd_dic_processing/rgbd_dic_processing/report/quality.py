@@ -54,9 +54,7 @@ def draw(methods: Sequence[Series], folder: Path) -> list[Picture]:
     all_axes[-1].set_xlabel(TIME_LABEL)
     end = max(series.time_s[-1] for series in methods)
     all_axes[0].set_xlim((-0.01 * end, 1.01 * end) if end > 0 else (-0.5, 0.5))
-    handles = [
-        all_axes[0].plot([], [], label=series.method, **line_of(series.method))[0] for series in methods
-    ]
+    handles = [all_axes[0].plot([], [], label=series.method, **line_of(series.method))[0] for series in methods]
     figure.legend(handles=handles, loc="outside upper center", ncols=len(methods))
     caption = "What the measurement of each frame rests on."
     size = frames_per_stroke(max(len(series.time_s) for series in methods))

@@ -64,9 +64,7 @@ def of_run(openings: Sequence[CrackOpening], truth: Truth | None) -> list[Series
     """One series for each method that the run has; none if it has no openings."""
     start_ns = min((opening.stamp_ns for opening in openings), default=0)
     return [
-        _series(
-            sorted((o for o in openings if o.method == method), key=lambda o: o.stamp_ns), start_ns, truth
-        )
+        _series(sorted((o for o in openings if o.method == method), key=lambda o: o.stamp_ns), start_ns, truth)
         for method in method_order({opening.method for opening in openings})
     ]
 

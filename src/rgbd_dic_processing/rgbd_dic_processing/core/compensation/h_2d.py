@@ -44,9 +44,7 @@ def _modes(homography: Array, view: FrameView, used: NDArray[np.intp]) -> tuple[
     """The homographies (1 + E) H, E each of the independent errors of the eight parameters."""
     target = apply_homography(homography, view.reference_px[used])
     centre, spread = target.mean(axis=0), target.std()
-    normalise = np.array(
-        [[1 / spread, 0, -centre[0] / spread], [0, 1 / spread, -centre[1] / spread], [0, 0, 1]]
-    )
+    normalise = np.array([[1 / spread, 0, -centre[0] / spread], [0, 1 / spread, -centre[1] / spread], [0, 0, 1]])
     jacobian = spread * target_jacobian((target - centre) / spread)
     normal_matrix = np.einsum("pma,qma->pq", jacobian, jacobian)
     sensitivity = np.einsum("pq,qma->pma", np.linalg.inv(normal_matrix), jacobian)

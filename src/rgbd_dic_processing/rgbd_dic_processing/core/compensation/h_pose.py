@@ -90,15 +90,11 @@ def fit_pose(
         residual = target_px - camera.project(moved)
         jacobian = _jacobian(focal, turned, moved)
         normalised = np.linalg.norm(residual / sigma_px, axis=1) / np.sqrt(2)
-        misfit = max(
-            1.0, float(np.median(normalised)) / 0.8326
-        )  # median of a Rayleigh variable with sigma = 1/sqrt(2)
+        misfit = max(1.0, float(np.median(normalised)) / 0.8326)  # median of a Rayleigh variable with sigma = 1/sqrt(2)
         huber = np.minimum(1, robust_sigmas * misfit / np.maximum(normalised, 1e-12))
         weights = huber[:, None] / sigma_px**2
         weighted = jacobian * weights
-        step = np.linalg.solve(
-            np.einsum("pma,qma->pq", weighted, jacobian), np.einsum("pma,ma->p", weighted, residual)
-        )
+        step = np.linalg.solve(np.einsum("pma,qma->pq", weighted, jacobian), np.einsum("pma,ma->p", weighted, residual))
         R, t = _displaced((R, t), step)
         if np.sqrt(np.mean(np.square(np.einsum("p,pma->ma", step, jacobian)))) < CONVERGED_PX:
             return (R, t), jacobian, weights, misfit

@@ -97,7 +97,4 @@ def _centre_modes(view: FrameView, pose: Pose, used: NDArray[np.intp]) -> list[P
     per_pixel = np.stack([depth / view.camera.fx, depth / view.camera.fy], axis=1)
     sensitivity = np.einsum("pq,miq,mi->pmi", np.linalg.inv(normal_matrix), jacobian[:, :2], per_pixel)
     covariance = linear_covariance(sensitivity, view.sigma_px[used], view.correlation, used)
-    return [
-        (Rotation.from_rotvec(mode[:3]).as_matrix() @ R, t + mode[3:])
-        for mode in independent_modes(covariance)
-    ]
+    return [(Rotation.from_rotvec(mode[:3]).as_matrix() @ R, t + mode[3:]) for mode in independent_modes(covariance)]
