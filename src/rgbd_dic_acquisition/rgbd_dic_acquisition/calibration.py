@@ -117,7 +117,7 @@ class Camera:
             raise CalibrationError(
                 f"CameraInfo has distortion coefficients {d}: only k1 and k2 are supported, the others must be 0"
             )
-        k1, k2 = (d + [0.0, 0.0])[:2]
+        k1, k2 = [*d, 0.0, 0.0][:2]
         return cls(int(info.width), int(info.height), k[0], k[4], k[2], k[5], k1, k2)
 
     def scaled_to(self, width: int, height: int) -> Camera:

@@ -16,7 +16,21 @@ from .core.crack import CrackOpening
 from .core.status import FrameStatus
 
 CSV_NAME = "crack_opening.csv"
-HEADER = ["stamp_ns", "method", "opening_mm", "sliding_mm", "out_of_plane_mm", "magnitude_mm", "u_opening_mm", "n_left", "n_right", "depth_offset_s", "latency_s", "valid", "reason"]
+HEADER = (
+    "stamp_ns",
+    "method",
+    "opening_mm",
+    "sliding_mm",
+    "out_of_plane_mm",
+    "magnitude_mm",
+    "u_opening_mm",
+    "n_left",
+    "n_right",
+    "depth_offset_s",
+    "latency_s",
+    "valid",
+    "reason",
+)
 
 
 def row(opening: CrackOpening) -> list[str]:
@@ -135,20 +149,25 @@ class Comparison:
 
 
 def compare(openings: Sequence[CrackOpening], truth: Truth) -> list[Comparison]:
-    """Each method's opening against the truth of the same stamps; the truth is relative to the first of them.
+    """Each method's opening against the truth of the same stamps.
 
-    What is measured is the change since the reference, so the truth at the reference is subtracted.
+    What is measured is the change since the reference, so the truth at the reference is subtracted; at the first row
+    where the reference's own stamp is not known (read from a CSV) or has no truth.
     """
     index = {int(stamp): i for i, stamp in enumerate(truth.stamps_ns)}
     comparisons = []
-    for method in sorted({opening.method for opening in openings}):
+    for method in dict.fromkeys(opening.method for opening in openings):
         mine = [opening for opening in openings if opening.method == method]
-        usable = [opening for opening in mine if opening.valid and opening.stamp_ns in index]
-        if usable:
-            first = index[min(opening.stamp_ns for opening in mine if opening.stamp_ns in index)]
-            true = truth.jump_m[[index[opening.stamp_ns] for opening in usable], 0] - truth.jump_m[first, 0]
-            error = np.array([opening.opening_m for opening in usable]) - true
-        else:
-            error = np.zeros(0)
-        comparisons.append(Comparison(method, len(mine), len(usable), error))
+        known = [opening for opening in mine if opening.stamp_ns in index]
+        first = min((opening.stamp_ns for opening in known), default=0)
+        error = np.array(
+            [
+                opening.opening_m
+                - truth.jump_m[index[opening.stamp_ns], 0]
+                + truth.jump_m[index.get(opening.reference_stamp_ns, index[first]), 0]
+                for opening in known
+                if opening.valid
+            ]
+        )
+        comparisons.append(Comparison(method, len(mine), len(error), error))
     return comparisons

@@ -18,10 +18,8 @@ def summary(run: Run, truth: Truth | None) -> str:
     The error is that of the opening against the truth, RMS over the valid frames [mm], and the same in pixels of the
     reference image; beside it the RMS of the standard uncertainty that was stated.
     """
-    lines = [
-        "| method | frames | valid | RMS error [mm] | RMS error [px] | stated uncertainty, RMS [mm] | widest opening [mm] |",
-        "|---|---|---|---|---|---|---|",
-    ]
+    columns = ("method", "frames", "valid", "RMS error [mm]", "RMS error [px]", "stated uncertainty, RMS [mm]")
+    lines = [f"| {' | '.join(columns)} | widest opening [mm] |", "|---" * (len(columns) + 1) + "|"]
     errors = {c.method: c.rms_m for c in compare(run.openings, truth)} if truth is not None else {}
     for method in dict.fromkeys(opening.method for opening in run.openings):
         mine = [opening for opening in run.openings if opening.method == method]

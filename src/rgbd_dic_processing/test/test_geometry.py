@@ -90,7 +90,7 @@ def test_seed_maps_follow_the_exact_map() -> None:
     np.testing.assert_allclose(seeds[:, :, 0], exact(centres), atol=1e-9)
     for xi, eta in ((15, 15), (-15, 15), (0, -15), (7, 3)):
         basis = np.array([1, xi, eta, xi * xi, xi * eta, eta * eta])
-        np.testing.assert_allclose(seeds @ basis, exact(centres + (xi, eta)), atol=6e-3)
+        np.testing.assert_allclose(seeds @ basis, exact(centres + np.array([xi, eta])), atol=6e-3)
 
 
 def test_fit_homography_is_exact_and_refuses_a_line() -> None:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from rgbd_dic_acquisition.calibration import Calibration, Camera
 from rgbd_dic_acquisition.errors import MeasurementError
 from rgbd_dic_processing.core.geometry import Plane, plane_homography
 from rgbd_dic_processing.core.plane import PanelPlane, PlaneMotion, fit_plane
+from rgbd_dic_processing.core.regions import CrackZones, Regions
 from rgbd_dic_processing.core.settings import PlaneSettings
 from rgbd_dic_processing.core.status import FrameStatus
 from scipy.spatial.transform import Rotation
@@ -79,7 +82,7 @@ def square_plane() -> Plane:
     return Plane.from_inverse_depth(np.array([0.0, 0, 1 / 1.2]))
 
 
-PANEL_PX = np.array([(130.0, 100), (350, 100), (350, 260), (130, 260)])
+REGIONS = Regions(np.array([(130.0, 100), (350, 100), (350, 260), (130, 260)]), (), None, None)
 
 
 def test_region_is_carried_into_the_view() -> None:
@@ -94,13 +97,13 @@ def test_region_is_carried_into_the_view() -> None:
     inside = (np.abs(panel[:, 0]) < 0.18) & (np.abs(panel[:, 1]) < 0.14)
     depth = np.where(inside, moved.depths(grid), 2.5).reshape(TOF.height, TOF.width).astype(np.float32)
 
-    step = PanelPlane(calibration, PANEL_PX, PlaneSettings())
+    step = PanelPlane(calibration, REGIONS, PlaneSettings())
     step.add_view(1, plane_homography(CAMERA, R, np.zeros(3), reference))
     (right,) = step.add_depth(1, depth)
     assert right.status == FrameStatus.OK and right.inliers == right.points > 400
     np.testing.assert_allclose(right.plane.normal, moved.normal, atol=1e-6)
 
-    step = PanelPlane(calibration, PANEL_PX, PlaneSettings())
+    step = PanelPlane(calibration, REGIONS, PlaneSettings())
     step.add_view(1, np.eye(3))
     (wrong,) = step.add_depth(1, depth)
     assert wrong.inliers < wrong.points
@@ -110,7 +113,7 @@ def test_extrinsics() -> None:
     R = Rotation.from_euler("xyz", (3, -2, 5), degrees=True).as_matrix()
     t = np.array([-0.026, -0.067, 0.061])
     in_tof = square_plane()
-    step = PanelPlane(Calibration(CAMERA, TOF, R, t), PANEL_PX, PlaneSettings())
+    step = PanelPlane(Calibration(CAMERA, TOF, R, t), REGIONS, PlaneSettings())
     step.add_view(5, np.eye(3))
     (estimate,) = step.add_depth(5, panel_depth(in_tof))
     expected = in_tof.moved(R, t)
@@ -119,7 +122,7 @@ def test_extrinsics() -> None:
 
 
 def test_waits_for_the_view_nearest_in_time() -> None:
-    step = PanelPlane(Calibration(CAMERA, TOF), PANEL_PX, PlaneSettings())
+    step = PanelPlane(Calibration(CAMERA, TOF), REGIONS, PlaneSettings())
     assert step.add_view(100, np.eye(3)) == []
     assert step.add_depth(110, panel_depth(square_plane())) == []
     assert len(step.add_view(117, None)) == 1  # the nearest view is 117, in which the panel was lost
@@ -129,7 +132,7 @@ def test_waits_for_the_view_nearest_in_time() -> None:
 
 
 def test_bad_depth_frames_say_why() -> None:
-    step = PanelPlane(Calibration(CAMERA, TOF), PANEL_PX, PlaneSettings())
+    step = PanelPlane(Calibration(CAMERA, TOF), REGIONS, PlaneSettings())
     step.add_view(9, np.eye(3))
     empty = np.full((TOF.height, TOF.width), np.nan, np.float32)
     (nothing,) = step.add_depth(1, empty)
@@ -159,3 +162,27 @@ def test_plane_is_less_certain_away_from_its_frame() -> None:
     np.testing.assert_allclose(now.inverse_depth_covariance(), tight, atol=1e-15)
     assert np.sqrt(later.inverse_depth_covariance()[0, 0]) == pytest.approx(2e-4, rel=1e-3)
     np.testing.assert_allclose(later.inverse_depth, pi, rtol=1e-12)
+
+
+def test_step_between_the_sides() -> None:
+    """The right side 3 mm farther: the step is found within its stated uncertainty, over 40 noisy frames."""
+    crack = CrackZones.from_point(np.array([240.0, 180]), np.array([0.0, 1]), 60, 80, 20)
+    step = PanelPlane(Calibration(CAMERA, TOF), replace(REGIONS, crack=crack), PlaneSettings())
+    step.add_view(1000, np.eye(3))
+    random = np.random.default_rng(6)
+    columns = np.arange(TOF.width) > 79.5
+    ratios = []
+    for _ in range(40):
+        depth = panel_depth(square_plane()) + random.normal(0, 0.005, (TOF.height, TOF.width)) + 3e-3 * columns
+        (estimate,) = step.add_depth(1, depth.astype(np.float32))
+        assert 1e-4 < estimate.u_step_m < 1e-3
+        ratios.append((estimate.step_m - 3e-3) / estimate.u_step_m)
+    # 40 ratios of standard deviation 1: their mean is known to 0.16, their standard deviation to 0.11
+    assert abs(np.mean(ratios)) < 0.5 and np.std(ratios) == pytest.approx(1, abs=0.33)
+
+
+def test_no_step_without_a_crack() -> None:
+    step = PanelPlane(Calibration(CAMERA, TOF), REGIONS, PlaneSettings())
+    step.add_view(1, np.eye(3))
+    (estimate,) = step.add_depth(1, panel_depth(square_plane()))
+    assert estimate.status == FrameStatus.OK and np.isnan([estimate.step_m, estimate.u_step_m]).all()

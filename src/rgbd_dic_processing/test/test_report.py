@@ -47,7 +47,7 @@ def opening(k, method="h_pose", error_mm=0.0, **changes):
     value = (truth_mm(k) - truth_mm(0) + error_mm) * 1e-3
     made = CrackOpening(
         stamp(k), START, method, FrameStatus.OK, "", value, 0.0, NAN, abs(value),
-        2e-6, NAN, NAN, NAN, 40, 41, 0.004, NAN,
+        2e-6 * (1 + k / 30), NAN, NAN, NAN, 40, 41, 0.004, NAN,
     )  # fmt: skip
     return replace(made, **changes)
 
@@ -228,6 +228,13 @@ def test_truth_of_other_frames_compares_nothing(tmp_path):
     text = write_report(saved(replace(usual_run(), maps={}), tmp_path / "run"), other).read_text(encoding="utf-8")
     assert "no valid frame has a truth to compare with" in text
     assert "RMS error" not in text
+
+
+def test_truth_counts_from_the_reference_even_if_its_row_is_missing(tmp_path):
+    run = replace(usual_run(), openings=usual_run().openings[10:30], maps={})
+    text = write_report(saved(run, tmp_path / "run")).read_text(encoding="utf-8")
+    header, line = Tables(text).tables["methods"]
+    assert float(line[header.index("largest |error| [mm]")]) < 0.01
 
 
 def test_what_is_not_a_run_is_refused(tmp_path):

@@ -13,7 +13,7 @@ from scipy.sparse import csr_matrix
 from .displacement import DisplacementField
 from .geometry import apply_homography
 from .homography import fit_homography
-from .regions import CrackZones, inside
+from .regions import CrackZones
 from .settings import CrackSettings
 from .status import FrameStatus
 from .uncertainty import overlap_correlation, quadratic_terms
@@ -57,8 +57,9 @@ class CrackOpening:
 class CrackMeasurement:
     """The mean displacement of one zone minus that of the other, with its standard uncertainty.
 
-    The uncertainty has three parts: the DIC's, with the correlation of overlapping subsets; the compensation's, whose
-    modes act on both zones alike but for their distance; and that of the scale.
+    The uncertainty has the DIC's part, with the correlation of overlapping subsets; the compensation's, whose modes act
+    on both zones alike but for their distance; their covariance, as a zone may be in the fixed region too; and that of
+    the scale.
     """
 
     def __init__(self, camera: Camera, zones: CrackZones, settings: CrackSettings):
@@ -84,6 +85,7 @@ class CrackMeasurement:
         apart = field.displacement_m[right].mean(axis=0) - field.displacement_m[left].mean(axis=0)
         jump = np.append(axes @ apart[:2], apart[2])
         variance = self._variance(field, layout, axes, left, right) + (jump * field.scale_uncertainty) ** 2
+        variance[2] += field.u_step_m**2
         magnitude, u_magnitude = _magnitude(jump, variance)
         sigma = np.sqrt(variance)
         return CrackOpening(
@@ -117,8 +119,15 @@ class CrackMeasurement:
             shared = layout.correlation[zone][:, zone]
             total += np.sum(component * (shared @ component), axis=0) / len(zone) ** 2
         terms = [quadratic_terms(field.position_m[zone]).mean(axis=0) for zone in (left, right)]
-        modes = field.modes @ (terms[1] - terms[0])
-        return total + np.append(np.sum((modes[:, :2] @ axes.T) ** 2, axis=0), np.sum(modes[:, 2] ** 2))
+        modes = _in_crack_axes(field.modes @ (terms[1] - terms[0]), axes)
+        coupled = _in_crack_axes(field.zone_coupling[:, 1] - field.zone_coupling[:, 0], axes)
+        shared = 2 * np.sum(modes[: len(coupled)] * coupled, axis=0)
+        return np.maximum(total + np.sum(modes**2, axis=0) + shared, 0)
+
+
+def _in_crack_axes(vectors: Array, axes: Array) -> Array:
+    """Panel vectors (k, 3) -> normal, along, into the wall (k, 3)."""
+    return np.column_stack([vectors[:, :2] @ axes.T, vectors[:, 2]])
 
 
 @dataclass(frozen=True)
@@ -133,8 +142,7 @@ class _ZoneLayout:
     @classmethod
     def of(cls, zones: CrackZones, field: DisplacementField) -> _ZoneLayout:
         centres = field.centres_px.astype(float)
-        left, right = (np.flatnonzero(inside(zone, centres)) for zone in (zones.left, zones.right))
-        return cls(left, right, centres, overlap_correlation(centres, field.subset_size))
+        return cls(*zones.members(centres), centres, overlap_correlation(centres, field.subset_size))
 
     def crack_axes(self, camera: Camera, zones: CrackZones, position_m: Array) -> Array:
         """Rows: normal to the crack and along it, in panel coordinates (2, 2).

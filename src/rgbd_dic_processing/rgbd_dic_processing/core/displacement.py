@@ -45,7 +45,10 @@ class DisplacementField:
     sigma_m: (N, 3) float32, standard uncertainty from the DIC alone, NaN like the displacement.
     modes: (k, 3, 6) independent errors of the compensation of one standard deviation each: mode m displaces (x, y) by
         modes[m] @ [1, x, y, x^2, x y, y^2] metres.
+    zone_coupling: (j, 2, 3), for the first j modes, which come from the DIC's noise: covariance of the mode's unit
+        error with the mean error of the left and the right measuring zone [m].
     scale_uncertainty: relative standard uncertainty of all lengths, from the distance of the reference plane.
+    u_step_m: pc_3d: standard uncertainty of the step in z across the crack; else NaN.
     """
 
     stamp_ns: int
@@ -60,7 +63,9 @@ class DisplacementField:
     displacement_m: Array
     sigma_m: NDArray[np.float32]
     modes: Array
+    zone_coupling: Array
     scale_uncertainty: float
+    u_step_m: float
     image_received_ns: int = field(default=0, compare=False)
 
 
@@ -148,6 +153,9 @@ class _ReferenceState:
         centres = reference.centres_px.astype(float)
         self.ideal_px = camera.undistort(centres)
         self.fixed = regions.fixed_members(centres)
+        self.zones = regions.crack.members(centres) if regions.crack is not None else ()
+        self.right = regions.crack.beyond(centres) if regions.crack is not None else np.zeros(len(centres), bool)
+        self._first_step: tuple[float, float] | None = None
         self.correlation = overlap_correlation(centres, reference.subset_size)
         self._planes = ReferencePlane(camera, settings.robust_sigmas)
 
@@ -159,6 +167,22 @@ class _ReferenceState:
             self._planes.add(
                 frame.plane.stamp_ns, plane, self.ideal_px[fixed], moved_px, sigma_px, frame.field.homography
             )
+
+    def _step(self, frame: JoinedFrame, method: str) -> tuple[float, float]:
+        """Change of the step across the crack since the first ToF frame, and its uncertainty [m] (pc_3d).
+
+        All points of a frame lie on its one plane, so a step between the sides is not in them; it is added here.
+        """
+        if method != "pc_3d" or frame.plane is None:
+            return math.nan, math.nan
+        if self._first_step is None and not math.isnan(frame.plane.step_m):
+            self._first_step = frame.plane.step_m, frame.plane.u_step_m
+            self._first_stamp_ns = frame.plane.stamp_ns
+        if self._first_step is None:
+            return math.nan, math.nan
+        if frame.plane.stamp_ns == self._first_stamp_ns:
+            return 0.0, 0.0
+        return frame.plane.step_m - self._first_step[0], math.hypot(frame.plane.u_step_m, self._first_step[1])
 
     def plane_for(self, method: str) -> Plane | None:
         return self._planes.mean if method == "h_pose" else self._planes.first
@@ -179,6 +203,9 @@ class _ReferenceState:
             return motion.panel_points(points_px, realignment)
 
         moved = now(view.moved_px)
+        step_m, u_step_m = self._step(frame, method)
+        displacement_m = moved - start
+        displacement_m[self.right, 2] += step_m
         per_x, per_y = (now(view.moved_px + shift) - moved for shift in np.eye(2))
         sigma = np.sqrt((per_x * view.sigma_px[:, :1]) ** 2 + (per_y * view.sigma_px[:, 1:]) ** 2)
         pi_variance = plane.normal @ plane.inverse_depth_covariance() @ plane.normal
@@ -192,12 +219,25 @@ class _ReferenceState:
             self.reference.subset_size,
             self.reference.centres_px.astype(np.float32),
             start[:, :2],
-            moved - start,
+            displacement_m,
             sigma.astype(np.float32),
             _modes(compensation, realignment, self.ideal_px),
+            self._zone_coupling(compensation.coupling, per_x, per_y),
             float(-plane.d * np.sqrt(pi_variance)),
+            u_step_m,
             frame.field.image_received_ns,
         )
+
+    def _zone_coupling(self, coupling: Array, per_x: Array, per_y: Array) -> Array:
+        """The coupling (k, N, 2) [px], carried to panel displacements and averaged over the found subsets of a zone."""
+        means = np.zeros((len(coupling), 2, 3))
+        for side, zone in enumerate(self.zones):
+            found = zone[np.isfinite(per_x[zone, 0])]
+            if len(found):
+                means[:, side] = (coupling[:, found, :1] * per_x[found] + coupling[:, found, 1:] * per_y[found]).mean(
+                    axis=1
+                )
+        return means
 
 
 def _modes(compensation: Compensation, realignment: Realignment, ideal_px: Array) -> Array:
@@ -243,6 +283,8 @@ def _invalid(
         np.full((count, 3), np.nan),
         np.full((count, 3), np.nan, np.float32),
         np.zeros((0, 3, 6)),
+        np.zeros((0, 2, 3)),
+        math.nan,
         math.nan,
         frame.field.image_received_ns,
     )

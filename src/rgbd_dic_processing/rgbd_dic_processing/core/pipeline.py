@@ -45,7 +45,7 @@ class Pipeline:
         camera = calibration.camera
         self.tracking = SubsetTracking(camera, regions, settings.correlation, settings.search)
         self.pairing = FramePairing(settings.pairing)
-        self.planes = PanelPlane(calibration, regions.panel, settings.plane)
+        self.planes = PanelPlane(calibration, regions, settings.plane)
         self.displacement = {
             method: DisplacementMeasurement(camera, regions, replace(settings.compensation, method=method))
             for method in methods

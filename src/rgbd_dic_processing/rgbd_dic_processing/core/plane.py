@@ -13,7 +13,7 @@ from rgbd_dic_acquisition.errors import CalibrationError, MeasurementError
 
 from .geometry import Plane, apply_homography
 from .msac import msac
-from .regions import polygon_mask
+from .regions import Regions, polygon_mask
 from .settings import PlaneSettings
 from .status import FrameStatus
 
@@ -27,7 +27,11 @@ VIEW_LIMIT_S = 0.25  # a ToF frame farther than this from every image has no vie
 
 @dataclass(frozen=True)
 class PlaneEstimate:
-    """The plane of one ToF frame, or why there is none."""
+    """The plane of one ToF frame, or why there is none.
+
+    step_m, u_step_m: how far the panel's right side lies behind its left side at the crack, along the normal, and the
+    standard uncertainty of that; from a plane through each side. NaN without a crack or with too few points.
+    """
 
     stamp_ns: int
     status: FrameStatus
@@ -36,6 +40,8 @@ class PlaneEstimate:
     points: int = 0
     inliers: int = 0
     residual_rms_m: float = math.nan
+    step_m: float = math.nan
+    u_step_m: float = math.nan
 
 
 def fit_plane(points_m: Array, settings: PlaneSettings) -> tuple[Plane, NDArray[np.bool_], float]:
@@ -115,12 +121,13 @@ class PanelPlane:
     uses depends on the stamps alone.
     """
 
-    def __init__(self, calibration: Calibration, panel_px: Array, settings: PlaneSettings):
+    def __init__(self, calibration: Calibration, regions: Regions, settings: PlaneSettings):
         if calibration.tof is None:
             raise CalibrationError("the calibration has no 'tof': planes need its intrinsics and T_camera_tof")
         self._calibration = calibration
         self._settings = settings
-        self._mask = polygon_mask(panel_px, calibration.camera.width, calibration.camera.height)
+        self._crack = regions.crack
+        self._mask = polygon_mask(regions.panel, calibration.camera.width, calibration.camera.height)
         self._rays = None if calibration.tof is None else _pixel_rays(calibration.tof)
         self._waiting: deque[tuple[int, Array | None, str]] = deque()
         self._views: deque[tuple[int, Array | None]] = deque(maxlen=64)
@@ -177,7 +184,7 @@ class PanelPlane:
         view = min(self._views, key=lambda entry: abs(entry[0] - stamp_ns), default=None)
         if view is None or abs(view[0] - stamp_ns) > VIEW_LIMIT_S * 1e9 or view[1] is None:
             return PlaneEstimate(stamp_ns, FrameStatus.NO_PLANE, "no image near it in which the panel was found")
-        on_panel = self._panel_points(points_m, view[1])
+        on_panel, reference_px = self._panel_points(points_m, view[1])
         if len(on_panel) < self._settings.min_points:
             return PlaneEstimate(
                 stamp_ns,
@@ -189,10 +196,37 @@ class PanelPlane:
             plane, inliers, rms = fit_plane(on_panel, self._settings)
         except MeasurementError as error:
             return PlaneEstimate(stamp_ns, FrameStatus.NO_PLANE, str(error), points=len(on_panel))
-        return PlaneEstimate(stamp_ns, FrameStatus.OK, "", plane, len(on_panel), int(inliers.sum()), rms)
+        step_m, u_step_m = self._step(on_panel, reference_px, plane)
+        return PlaneEstimate(
+            stamp_ns, FrameStatus.OK, "", plane, len(on_panel), int(inliers.sum()), rms, step_m, u_step_m
+        )
 
-    def _panel_points(self, points_m: Array, homography: Array) -> Array:
-        """The points, in the camera frame, whose projection (Eq. 4.1) falls into the panel region of the reference."""
+    def _step(self, points_m: Array, reference_px: Array, plane: Plane) -> tuple[float, float]:
+        """The step of `PlaneEstimate`: from a plane through the points on each side of the crack's line."""
+        if self._crack is None:
+            return math.nan, math.nan
+        right = self._crack.beyond(reference_px)
+        at_crack = points_m[np.argsort(np.hypot(*(reference_px - self._crack.point).T))[:9]].mean(axis=0)
+        offsets, variance = [], 0.0
+        for side in (points_m[~right], points_m[right]):
+            try:
+                if len(side) < self._settings.min_points:
+                    return math.nan, math.nan
+                of_side, _, _ = fit_plane(side, self._settings)
+            except MeasurementError:
+                return math.nan, math.nan
+            facing = of_side.normal @ plane.normal
+            offsets.append(-(of_side.normal @ at_crack + of_side.d) / facing)
+            by_plane = np.append(at_crack, 1) / facing
+            variance += by_plane @ of_side.covariance @ by_plane
+        return offsets[1] - offsets[0], math.sqrt(variance)
+
+    def _panel_points(self, points_m: Array, homography: Array) -> tuple[Array, Array]:
+        """The points whose projection (Eq. 4.1) falls into the panel region of the reference.
+
+        Returns:
+            They in the camera frame (N, 3) [m], and where they lie in the raw reference image (N, 2) [px].
+        """
         camera = self._calibration.camera
         points = points_m @ self._calibration.R_camera_tof.T + self._calibration.t_camera_tof
         near_enough = (points[:, 2] >= self._settings.min_distance_m) & (points[:, 2] <= self._settings.max_distance_m)
@@ -202,7 +236,7 @@ class PanelPlane:
             column, row = np.round(np.nan_to_num(reference, nan=-1)).astype(int).T
         seen = (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
         seen[seen] = self._mask[row[seen], column[seen]]
-        return points[seen]
+        return points[seen], reference[seen]
 
 
 class PlaneMotion:

@@ -33,6 +33,11 @@ class CrackZones:
     point: Array
     direction: Array
 
+    @property
+    def normal(self) -> Array:
+        """Unit vector (2,) across the crack, from left to right."""
+        return np.array([self.direction[1], -self.direction[0]])
+
     @classmethod
     def from_point(cls, point: Array, direction: Array, across: float, along: float, gap: float) -> CrackZones:
         """Two rectangles, symmetric about the crack line through `point` (thesis 4.4.2).
@@ -65,6 +70,14 @@ class CrackZones:
         if np.dot([tangent[1], -tangent[0]], between) < 0:
             tangent = -tangent
         return cls(boxes[0], boxes[1], (centres[0] + centres[1]) / 2, tangent)
+
+    def beyond(self, points_px: Array) -> Mask:
+        """Which points (N, 2) lie right of the crack's line."""
+        return (points_px - self.point) @ self.normal > 0
+
+    def members(self, points_px: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Indices of the points (N, 2) in the left zone and in the right one."""
+        return np.flatnonzero(inside(self.left, points_px)), np.flatnonzero(inside(self.right, points_px))
 
 
 @dataclass(frozen=True)

@@ -29,25 +29,36 @@ def overlap_correlation(centres_px: Array, subset_size: int) -> csr_matrix:
     )
 
 
-def linear_covariance(sensitivity: Array, sigma: Array, correlation: csr_matrix, chosen: NDArray[np.intp]) -> Array:
-    """Covariance (p, p) of parameters that depend linearly on the coordinates of chosen subsets.
+def linear_modes(
+    sensitivity: Array, sigma: Array, correlation: csr_matrix, chosen: NDArray[np.intp]
+) -> tuple[Array, Array]:
+    """Independent errors of parameters that depend linearly on the coordinates of chosen subsets.
 
     Args:
         sensitivity: (p, M, 2), d parameter / d coordinate; x and y errors are taken as independent.
-        sigma: (M, 2) standard uncertainties of the chosen subsets' coordinates.
-        correlation: `overlap_correlation` (N, N) of all subsets.
-        chosen: indices (M,) of the subsets.
+        sigma: (N, 2) standard uncertainties of the coordinates of all subsets.
+        correlation: `overlap_correlation` (N, N).
+        chosen: indices (M,) of the subsets that the parameters depend on.
+
+    Returns:
+        modes: (k, p), as of `independent_modes`; the error of the parameters is sum z_m modes[m], z of unit variance.
+        coupling: (k, N, 2), the covariance of z_m with the error of each subset's coordinates. The same noise acts on
+            a subset directly and through the parameters; without this the two would be taken as independent.
     """
-    covariance = np.zeros((len(sensitivity), len(sensitivity)))
-    for axis in (0, 1):
-        scaled = np.zeros((correlation.shape[0], len(sensitivity)))
-        scaled[chosen] = (sensitivity[:, :, axis] * sigma[:, axis]).T
-        covariance += scaled.T @ (correlation @ scaled)
-    return covariance
+    count = len(sensitivity)
+    direct = np.zeros((count, correlation.shape[0], 2))
+    direct[:, chosen] = sensitivity * sigma[chosen]
+    spread = np.stack([(correlation @ direct[:, :, axis].T).T for axis in (0, 1)], axis=-1)
+    modes = independent_modes(np.einsum("pna,qna->pq", direct, spread))
+    to_unit = modes / np.sum(modes**2, axis=1, keepdims=True)
+    return modes, np.einsum("kp,pna->kna", to_unit, spread) * np.nan_to_num(sigma)
 
 
 def independent_modes(covariance: Array) -> Array:
-    """Vectors (k, p), one standard deviation each and independent, whose outer products sum to the covariance."""
+    """Vectors (k, p), one standard deviation each and independent, whose outer products sum to the covariance.
+
+    They are orthogonal to each other.
+    """
     values, vectors = np.linalg.eigh(covariance)
     kept = values > max(values[-1], 0) * 1e-12
     return (vectors[:, kept] * np.sqrt(values[kept])).T

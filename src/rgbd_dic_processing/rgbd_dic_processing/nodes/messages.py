@@ -62,6 +62,8 @@ def plane_message(make: MessageFactory, estimate: PlaneEstimate, frame_id: str) 
         points=int(estimate.points),
         inliers=int(estimate.inliers),
         residual_rms=float(estimate.residual_rms_m),
+        step=float(estimate.step_m),
+        u_step=float(estimate.u_step_m),
     )
 
 
@@ -77,6 +79,8 @@ def plane_from_message(msg: Any) -> PlaneEstimate:
         int(msg.points),
         int(msg.inliers),
         float(msg.residual_rms),
+        float(msg.step),
+        float(msg.u_step),
     )
 
 
@@ -158,7 +162,9 @@ def displacement_field_message(make: MessageFactory, field: DisplacementField) -
         **{f"d{axis}": field.displacement_m[:, i] for i, axis in enumerate(axes)},
         **{f"sigma_d{axis}": field.sigma_m[:, i] for i, axis in enumerate(axes)},
         compensation_modes=field.modes.ravel(),
+        zone_coupling=field.zone_coupling.ravel(),
         scale_uncertainty=float(field.scale_uncertainty),
+        u_step=float(field.u_step_m),
     )
 
 
@@ -176,7 +182,9 @@ def displacement_field_from_message(msg: Any) -> DisplacementField:
         np.column_stack([_array(msg.dx), _array(msg.dy), _array(msg.dz)]),
         np.column_stack([_array(msg.sigma_dx, "f4"), _array(msg.sigma_dy, "f4"), _array(msg.sigma_dz, "f4")]),
         _array(msg.compensation_modes).reshape(-1, 3, 6),
+        _array(msg.zone_coupling).reshape(-1, 2, 3),
         float(msg.scale_uncertainty),
+        float(msg.u_step),
         stamp_to_ns(msg.image_received),
     )
 

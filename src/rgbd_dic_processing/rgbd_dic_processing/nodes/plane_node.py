@@ -28,8 +28,8 @@ class PlaneNode(Node):
         calibration = load_calibration(
             declare_path(self, "calibration_file", "calibration.yaml: intrinsics of both sensors, extrinsics")
         )
-        regions = load_regions(declare_path(self, "regions_file", "regions.yaml: the panel"))
-        self._planes = PanelPlane(calibration, regions.panel, declare(self, PlaneSettings, "plane"))
+        regions = load_regions(declare_path(self, "regions_file", "regions.yaml: the panel and the crack"))
+        self._planes = PanelPlane(calibration, regions, declare(self, PlaneSettings, "plane"))
         self._frame_id = "camera_optical_frame"
         self._diagnostics = Diagnostics(self)
         self._output = self._diagnostics.watch(self.create_publisher(PlaneStamped, "plane", STREAM_DEPTH))

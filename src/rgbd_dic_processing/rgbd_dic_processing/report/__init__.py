@@ -34,14 +34,15 @@ def write_report(folder: Path, truth: Path | None = None) -> Path:
     truth = truth or (folder / TRUTH_NAME if (folder / TRUTH_NAME).exists() else None)
     known = read_truth(truth) if truth is not None else None
     regions = load_regions(folder / REGIONS_NAME) if (folder / REGIONS_NAME).exists() else None
-    methods = series.of_run(run.openings, known)
+    reference_ns = run.reference.stamp_ns if run.reference is not None else None
+    methods = series.of_run(run.openings, known, reference_ns)
     try:
         with drawing.appearance():
             pictures = [
-                *history.draw(methods, known, folder),
+                *history.draw(methods, folder),
                 *quality.draw(methods, folder),
                 *maps.draw(run, regions, folder),
             ]
-        return page.write(folder / PAGE_NAME, run, methods, known, pictures)
+        return page.write(folder / PAGE_NAME, run, methods, pictures, has_truth=known is not None)
     except OSError as error:
         raise RgbdDicError(f"cannot write the report to {folder}: {error.strerror}") from error

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from ..results import Truth
 from .drawing import (
     TRUTH_LINE,
     Picture,
@@ -27,12 +26,12 @@ NAME = "history.png"
 TIME_LABEL = "time since the first frame [s]"
 
 
-def draw(methods: Sequence[Series], truth: Truth | None, folder: Path) -> list[Picture]:
+def draw(methods: Sequence[Series], folder: Path) -> list[Picture]:
     """Write the figure; nothing if the run has no openings."""
     if not methods:
         return []
-    compared = [series for series in methods if truth is not None and np.isfinite(series.error_mm).any()]
-    rms_mm = {line.method: line.rms_mm for line in summarise(methods, truth)}
+    compared = [series for series in methods if np.isfinite(series.error_mm).any()]
+    rms_mm = {line.method: line.rms_mm for line in summarise(methods)}
     failures = len(states(methods, with_valid=False))
     heights = [3.2] + [0.25 + 0.28 * failures] * bool(failures) + [1.25] * len(compared)
     figure = new_figure(9.0, 0.6 + sum(heights) + 0.2 * len(heights))

@@ -21,7 +21,6 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 LABEL_WORDS = {"widest": "the widest opening", "last": "the last valid frame"}
-AXIS_WORDS = ("x, along the panel's x axis", "y, along the panel's y axis", "z, into the wall")
 NARROWEST_MM = 1e-4  # a colour range is not narrower, so that rounding does not look like displacement
 WIDTH_IN = 4.5  # of one map with its colour bar
 
@@ -74,8 +73,9 @@ def _draw_field(run: Run, regions: Regions | None, field: DisplacementField, tit
     figure.legend(handles=handles, loc="outside lower center", ncols=5)
     names = " and of the ".join(side.name for side in sides)
     caption = f"Displacement [mm] since the reference, camera motion removed: {title}."
+    caption += " x and y are along the axes of the panel" + (", z is into the wall." if 2 in shown else ".")
     own = "Each side has a colour range of its own, " if len(sides) > 1 else "The colours range "
-    caption += f" {own}from the 1st to the 99th percentile."
+    caption += f" {own}from the 1st to the 99th percentile, for a fixed region symmetric about zero."
     if neither.any():
         caption += " Grey subsets touch the crack or lie before it, and belong to neither side."
     alt = f"Maps of the {', '.join('xyz'[axis] for axis in shown)} displacement of the {names}: {title}."
@@ -91,7 +91,7 @@ def _draw_map(
     if side.moves:
         background.draw_neither(axes, neither)
     background.draw_missing(axes, side.members & ~np.isfinite(values))
-    axes.set_title(f"{AXIS_WORDS[axis]}\n{side.name}: {_spread(known)}")
+    axes.set_title(f"{'xyz'[axis]}, {side.name}\n{_spread(known)}", loc="left")
     if not len(known):
         return
     low, high = _colour_range(known, around_zero=not side.moves)

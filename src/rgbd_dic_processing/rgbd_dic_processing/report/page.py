@@ -11,7 +11,6 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from ..core.settings import ProcessingSettings
-from ..results import Truth
 from ..runs import Run
 from .drawing import Picture
 from .series import Series
@@ -20,7 +19,7 @@ from .summary import failures, summarise
 TEMPLATE = "page.html.j2"
 
 
-def write(path: Path, run: Run, methods: Sequence[Series], truth: Truth | None, pictures: Sequence[Picture]) -> Path:
+def write(path: Path, run: Run, methods: Sequence[Series], pictures: Sequence[Picture], has_truth: bool) -> Path:
     """Write the page and return its path."""
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent),
@@ -30,7 +29,7 @@ def write(path: Path, run: Run, methods: Sequence[Series], truth: Truth | None, 
         lstrip_blocks=True,
     )
     environment.filters.update(number=_number, share=_share)
-    lines = summarise(methods, truth)
+    lines = summarise(methods)
     text = environment.get_template(TEMPLATE).render(
         name=path.resolve().parent.name,
         inputs={name: _without_folder(value) for name, value in run.inputs.items()},
@@ -40,7 +39,7 @@ def write(path: Path, run: Run, methods: Sequence[Series], truth: Truth | None, 
         extent=_extent(methods),
         has_fields=bool(run.maps),
         compared=any(math.isfinite(line.worst_error_mm) for line in lines),
-        has_truth=truth is not None,
+        has_truth=has_truth,
         summary=lines,
         failures=failures(methods),
         pictures=[

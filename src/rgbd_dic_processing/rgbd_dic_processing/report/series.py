@@ -60,26 +60,35 @@ class Series:
         return self.opening_mm - self.truth_mm
 
 
-def of_run(openings: Sequence[CrackOpening], truth: Truth | None) -> list[Series]:
-    """One series for each method that the run has; none if it has no openings."""
+def of_run(openings: Sequence[CrackOpening], truth: Truth | None, reference_ns: int | None = None) -> list[Series]:
+    """One series for each method that the run has; none if it has no openings.
+
+    Args:
+        reference_ns: stamp of the reference image; None takes the first frame for it.
+    """
     start_ns = min((opening.stamp_ns for opening in openings), default=0)
     return [
-        _series(sorted((o for o in openings if o.method == method), key=lambda o: o.stamp_ns), start_ns, truth)
+        _series(
+            sorted((o for o in openings if o.method == method), key=lambda o: o.stamp_ns), start_ns, truth, reference_ns
+        )
         for method in method_order({opening.method for opening in openings})
     ]
 
 
-def true_opening_mm(stamps_ns: NDArray[np.int64], truth: Truth) -> Array:
-    """True opening at each stamp less that at the first which the truth holds; NaN at stamps it lacks."""
+def true_opening_mm(stamps_ns: NDArray[np.int64], truth: Truth, reference_ns: int | None = None) -> Array:
+    """True opening at each stamp less that at the reference; NaN at stamps that the truth lacks.
+
+    Where the truth lacks the reference too, the first stamp that it holds takes its place.
+    """
     index = {int(stamp): i for i, stamp in enumerate(truth.stamps_ns)}
     rows = np.array([index.get(int(stamp), -1) for stamp in stamps_ns], int)
     if np.all(rows < 0):
         return np.full(len(rows), np.nan)
-    opening = np.where(rows < 0, np.nan, truth.jump_m[rows, 0]) * 1e3
-    return opening - opening[np.flatnonzero(rows >= 0)[0]]
+    start = index.get(reference_ns, rows[rows >= 0][0])
+    return np.where(rows < 0, np.nan, truth.jump_m[rows, 0] - truth.jump_m[start, 0]) * 1e3
 
 
-def _series(openings: list[CrackOpening], start_ns: int, truth: Truth | None) -> Series:
+def _series(openings: list[CrackOpening], start_ns: int, truth: Truth | None, reference_ns: int | None) -> Series:
     stamps = np.array([opening.stamp_ns for opening in openings], np.int64)
     status = np.array([opening.status for opening in openings], np.int64)
 
@@ -96,7 +105,7 @@ def _series(openings: list[CrackOpening], start_ns: int, truth: Truth | None) ->
         (stamps - start_ns) * 1e-9,
         of_valid(column("opening_m", 1e3)),
         of_valid(column("u_opening_m", 1e3)),
-        np.full(len(stamps), np.nan) if truth is None else true_opening_mm(stamps, truth),
+        np.full(len(stamps), np.nan) if truth is None else true_opening_mm(stamps, truth, reference_ns),
         of_valid(column("n_left")),
         of_valid(column("n_right")),
         column("depth_offset_s", 1e3),

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..core.status import FrameStatus
-from ..results import Truth, compare
+from ..results import Comparison
 from .series import STATUS_WORDS, Series
 
 
@@ -45,9 +45,9 @@ class Failure:
     example: str
 
 
-def summarise(methods: Sequence[Series], truth: Truth | None) -> list[MethodSummary]:
+def summarise(methods: Sequence[Series]) -> list[MethodSummary]:
     """One line for each method, in their order."""
-    return [_summary(series, truth) for series in methods]
+    return [_summary(series) for series in methods]
 
 
 def failures(methods: Sequence[Series]) -> list[Failure]:
@@ -65,15 +65,15 @@ def failures(methods: Sequence[Series]) -> list[Failure]:
     return found
 
 
-def _summary(series: Series, truth: Truth | None) -> MethodSummary:
+def _summary(series: Series) -> MethodSummary:
     opening = series.opening_mm[series.valid]
     rms = mean = worst = within = math.nan
-    error = series.error_mm
-    compared = np.isfinite(error)
-    if truth is not None and compared.any():
-        rms = compare(series.openings, truth)[0].rms_m * 1e3
-        mean, worst = float(error[compared].mean()), float(np.abs(error[compared]).max())
-        within = float(np.mean(np.abs(error[compared]) <= 2 * series.u_mm[compared]))
+    compared = np.isfinite(series.error_mm)
+    error = series.error_mm[compared]
+    if len(error):
+        rms = Comparison(series.method, len(compared), len(error), error * 1e-3).rms_m * 1e3
+        mean, worst = float(error.mean()), float(np.abs(error).max())
+        within = float(np.mean(np.abs(error) <= 2 * series.u_mm[compared]))
     u = series.u_mm[np.isfinite(series.u_mm)]
     return MethodSummary(
         series.method,

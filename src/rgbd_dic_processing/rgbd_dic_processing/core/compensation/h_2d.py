@@ -10,7 +10,7 @@ from ..geometry import apply_homography
 from ..homography import fit_homography, target_jacobian
 from ..msac import msac
 from ..settings import CompensationSettings
-from ..uncertainty import independent_modes, linear_covariance
+from ..uncertainty import linear_modes
 from .motion import Compensation, FrameView, HomographyMotion, reprojection_rms
 
 Array = NDArray[np.float64]
@@ -37,20 +37,19 @@ def compensate(view: FrameView, settings: CompensationSettings) -> Compensation:
         )
     used = view.fixed[inliers]
     motion = HomographyMotion(homography)
-    return Compensation(motion, _modes(homography, view, used), reprojection_rms(motion, view, used))
+    modes, coupling = _modes(homography, view, used)
+    return Compensation(motion, modes, coupling, reprojection_rms(motion, view, used))
 
 
-def _modes(homography: Array, view: FrameView, used: NDArray[np.intp]) -> tuple[HomographyMotion, ...]:
-    """The homographies (1 + E) H, E each of the independent errors of the eight parameters."""
+def _modes(homography: Array, view: FrameView, used: NDArray[np.intp]) -> tuple[tuple[HomographyMotion, ...], Array]:
+    """The homographies (1 + E) H, E each of the independent errors of the eight parameters; their coupling."""
     target = apply_homography(homography, view.reference_px[used])
     centre, spread = target.mean(axis=0), target.std()
     normalise = np.array([[1 / spread, 0, -centre[0] / spread], [0, 1 / spread, -centre[1] / spread], [0, 0, 1]])
     jacobian = spread * target_jacobian((target - centre) / spread)
     normal_matrix = np.einsum("pma,qma->pq", jacobian, jacobian)
     sensitivity = np.einsum("pq,qma->pma", np.linalg.inv(normal_matrix), jacobian)
-    covariance = linear_covariance(sensitivity, view.sigma_px[used], view.correlation, used)
+    modes, coupling = linear_modes(sensitivity, view.sigma_px, view.correlation, used)
     back = np.linalg.inv(normalise)
-    return tuple(
-        HomographyMotion(back @ (np.eye(3) + np.append(mode, 0).reshape(3, 3)) @ normalise @ homography)
-        for mode in independent_modes(covariance)
-    )
+    moved = [back @ (np.eye(3) + np.append(mode, 0).reshape(3, 3)) @ normalise @ homography for mode in modes]
+    return tuple(HomographyMotion(changed) for changed in moved), coupling

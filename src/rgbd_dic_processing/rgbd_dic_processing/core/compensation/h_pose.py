@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from ..geometry import Plane, plane_homography, pose_from_homography, skew
 from ..settings import CompensationSettings
-from ..uncertainty import independent_modes, linear_covariance
+from ..uncertainty import independent_modes, linear_modes
 from .motion import Compensation, FrameView, HomographyMotion, reprojection_rms
 
 Array = NDArray[np.float64]
@@ -44,13 +44,13 @@ def compensate(view: FrameView, settings: CompensationSettings) -> Compensation:
     weighted = jacobian * weights
     normal_matrix = np.einsum("pma,qma->pq", weighted, jacobian)
     sensitivity = np.einsum("pq,qma->pma", np.linalg.inv(normal_matrix), weighted)
-    covariance = linear_covariance(sensitivity, misfit * view.sigma_px[fixed], view.correlation, fixed)
-    poses = [(_displaced(pose, mode), view.reference_plane) for mode in independent_modes(covariance)]
+    dic_modes, coupling = linear_modes(sensitivity, misfit * view.sigma_px, view.correlation, fixed)
+    poses = [(_displaced(pose, mode), view.reference_plane) for mode in dic_modes]
     for mode in independent_modes(view.reference_plane.inverse_depth_covariance()):
         plane = Plane.from_inverse_depth(view.reference_plane.inverse_depth + mode)
         poses.append((fit_pose(*data, plane, pose, settings.robust_sigmas)[0], plane))
     modes = tuple(HomographyMotion(plane_homography(view.camera, *moved, plane)) for moved, plane in poses)
-    return Compensation(motion, modes, residual_px)
+    return Compensation(motion, modes, coupling, residual_px)
 
 
 def fit_pose(

@@ -94,11 +94,14 @@ class Compensation:
 
     modes: the motion again, once for each independent error of one standard deviation; whatever is computed from
         `motion` has the variance sum (f(mode) - f(motion))^2 from the compensation.
+    coupling: (k, N, 2), covariance of the first k modes' unit errors with the errors of the subsets' moved_px: these
+        modes come from the DIC's noise. The other modes, from the planes, have none.
     residual_px: RMS of the fixed region's reprojection error.
     """
 
     motion: Motion
     modes: tuple[Motion, ...]
+    coupling: Array
     residual_px: float
 
 

@@ -20,4 +20,5 @@ def compensate(view: FrameView, settings: CompensationSettings) -> Compensation:
 
     fit = fit_rigid(view, settings)
     motion = rigid(fit.pose, view.reference_plane, view.plane)
-    return Compensation(motion, tuple(rigid(*mode) for mode in fit.modes), reprojection_rms(motion, view, fit.used))
+    modes = tuple(rigid(*mode) for mode in fit.modes)
+    return Compensation(motion, modes, fit.coupling, reprojection_rms(motion, view, fit.used))

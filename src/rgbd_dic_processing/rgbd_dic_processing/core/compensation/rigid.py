@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from ..geometry import Plane, rigid_transform, skew
 from ..msac import msac
 from ..settings import CompensationSettings
-from ..uncertainty import independent_modes, linear_covariance
+from ..uncertainty import independent_modes, linear_modes
 from .motion import FrameView
 
 Array = NDArray[np.float64]
@@ -24,12 +24,13 @@ class RigidFit:
     """R, t of X' = R X + t; the subsets used; and the fit again for each independent error.
 
     Each of `modes` is (pose, reference plane, plane) with one error of one standard deviation: of the DIC centres, of
-    the reference's plane, of this frame's plane.
+    the reference's plane, of this frame's plane. `coupling` is that of `Compensation`.
     """
 
     pose: Pose
     used: NDArray[np.intp]
     modes: tuple[tuple[Pose, Plane, Plane], ...]
+    coupling: Array
 
 
 def fit_rigid(view: FrameView, settings: CompensationSettings) -> RigidFit:
@@ -58,16 +59,17 @@ def fit_rigid(view: FrameView, settings: CompensationSettings) -> RigidFit:
             f"rigid fit: {inliers.sum()} subsets of the fixed region agree, at least {settings.min_subsets} needed"
         )
     used = view.fixed[inliers]
-    return RigidFit(pose, used, _modes(view, pose, used))
+    return RigidFit(pose, used, *_modes(view, pose, used))
 
 
-def _modes(view: FrameView, pose: Pose, used: NDArray[np.intp]) -> tuple[tuple[Pose, Plane, Plane], ...]:
-    modes = [(moved, view.reference_plane, view.plane) for moved in _centre_modes(view, pose, used)]
+def _modes(view: FrameView, pose: Pose, used: NDArray[np.intp]) -> tuple[tuple[tuple[Pose, Plane, Plane], ...], Array]:
+    centre_modes, coupling = _centre_modes(view, pose, used)
+    modes = [(moved, view.reference_plane, view.plane) for moved in centre_modes]
     for plane in _plane_modes(view.reference_plane):
         modes.append((_refit(replace(view, reference_plane=plane), used), plane, view.plane))
     for plane in _plane_modes(view.plane):
         modes.append((_refit(replace(view, plane=plane), used), view.reference_plane, plane))
-    return tuple(modes)
+    return tuple(modes), coupling
 
 
 def _refit(view: FrameView, used: NDArray[np.intp]) -> Pose:
@@ -84,8 +86,8 @@ def _plane_modes(plane: Plane) -> list[Plane]:
     ]
 
 
-def _centre_modes(view: FrameView, pose: Pose, used: NDArray[np.intp]) -> list[Pose]:
-    """The pose displaced by each independent error that the DIC's uncertainty causes.
+def _centre_modes(view: FrameView, pose: Pose, used: NDArray[np.intp]) -> tuple[list[Pose], Array]:
+    """The pose displaced by each independent error that the DIC's uncertainty causes, and their coupling.
 
     To first order the fit solves sum |dX' - w x (R X) - dt|^2 with dX' = (z/f) (du, dv, 0).
     """
@@ -96,5 +98,5 @@ def _centre_modes(view: FrameView, pose: Pose, used: NDArray[np.intp]) -> list[P
     normal_matrix = np.einsum("mip,miq->pq", jacobian, jacobian)
     per_pixel = np.stack([depth / view.camera.fx, depth / view.camera.fy], axis=1)
     sensitivity = np.einsum("pq,miq,mi->pmi", np.linalg.inv(normal_matrix), jacobian[:, :2], per_pixel)
-    covariance = linear_covariance(sensitivity, view.sigma_px[used], view.correlation, used)
-    return [(Rotation.from_rotvec(mode[:3]).as_matrix() @ R, t + mode[3:]) for mode in independent_modes(covariance)]
+    modes, coupling = linear_modes(sensitivity, view.sigma_px, view.correlation, used)
+    return [(Rotation.from_rotvec(mode[:3]).as_matrix() @ R, t + mode[3:]) for mode in modes], coupling

@@ -1,0 +1,165 @@
+"""Following subsets through rendered images: large motion, gaps, hidden parts, a wide crack."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import cv2
+import numpy as np
+import pytest
+from rgbd_dic_acquisition.calibration import Camera
+from rgbd_dic_acquisition.errors import RegionsError
+from rgbd_dic_processing.core.correlation import CorrelationSettings
+from rgbd_dic_processing.core.regions import Regions
+from rgbd_dic_processing.core.search import SeedSource
+from rgbd_dic_processing.core.settings import SearchSettings
+from rgbd_dic_processing.core.status import FrameStatus
+from rgbd_dic_processing.core.tracking import SubsetField, SubsetTracking
+
+CAMERA = Camera(640, 480, 820.0, 820.0, 319.5, 239.5)
+REGIONS = Regions(np.array([(150.0, 110), (490, 110), (490, 370), (150, 370)]), (), None, None)
+SECOND = 1_000_000_000
+
+
+@cache
+def pattern() -> np.ndarray:
+    """Band-limited speckle, four times as large as the view, 8 bit."""
+    noise = np.random.default_rng(0).standard_normal((1100, 1400)).astype(np.float32)
+    smooth = cv2.GaussianBlur(noise, (0, 0), 1.7)
+    return np.clip(128 + 45 * smooth / smooth.std(), 0, 255).astype(np.float32)
+
+
+def view(H: np.ndarray, jump_px: float = 0.0) -> np.ndarray:
+    """The pattern seen under H (reference -> image); right of column 320 of the reference it is shifted by jump_px."""
+    x, y = np.meshgrid(np.arange(640.0), np.arange(480.0))
+    source = np.stack([x, y, np.ones_like(x)], axis=-1) @ np.linalg.inv(H).T
+    u, v = source[..., 0] / source[..., 2], source[..., 1] / source[..., 2]
+    u = np.where(u > 320 + jump_px, u - jump_px, u)
+    image = cv2.remap(pattern(), (u + 380).astype(np.float32), (v + 310).astype(np.float32), cv2.INTER_CUBIC)
+    return np.clip(np.rint(image), 0, 255).astype(np.uint8)
+
+
+def turned(degrees: float, shift: tuple[float, float], tilt: float = 0.0) -> np.ndarray:
+    """A homography about the image's middle."""
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    to_middle = np.array([[1, 0, -320], [0, 1, -240], [0, 0, 1.0]])
+    H = np.array([[c, -s, shift[0]], [s, c, shift[1]], [tilt, 0, 1]])
+    H = np.linalg.inv(to_middle) @ H @ to_middle
+    return H / H[2, 2]
+
+
+def tracking() -> SubsetTracking:
+    steps = SubsetTracking(CAMERA, REGIONS, CorrelationSettings(), SearchSettings())
+    field = steps.track(0, view(np.eye(3)))
+    assert field.seed_source == SeedSource.REFERENCE
+    assert np.abs(field.moved_px - steps.reference.centres_px).max() < 1e-6
+    return steps
+
+
+def found(field: SubsetField) -> float:
+    return float(np.mean(field.subset_status == 0))
+
+
+def error_px(field: SubsetField, steps: SubsetTracking, H: np.ndarray) -> float:
+    """RMS distance of the found subsets from the truth [px]; OpenCV's remap rounds to 1/32 px, hence a few 0.01."""
+    points = np.column_stack([steps.reference.centres_px, np.ones(len(steps.reference.centres_px))]) @ H.T
+    return float(np.sqrt(np.nanmean(np.sum((field.moved_px - points[:, :2] / points[:, 2:]) ** 2, axis=1))))
+
+
+def test_smooth_motion_is_predicted() -> None:
+    steps = tracking()
+    for k in range(1, 8):
+        H = turned(0.4 * k, (2.5 * k, -1.5 * k), 2e-5 * k)
+        field = steps.track(k * SECOND // 60, view(H))
+        assert field.seed_source == SeedSource.PREDICTION
+        assert found(field) == 1 and error_px(field, steps, H) < 0.03
+
+
+@pytest.mark.parametrize("degrees, shift", [(0, (120, -70)), (30, (10, 5)), (-25, (-60, 40))])
+def test_sudden_motion_is_recovered_by_features(degrees: float, shift: tuple[float, float]) -> None:
+    steps = tracking()
+    H = turned(degrees, shift, 1e-4)
+    field = steps.track(SECOND, view(H))
+    assert field.status == FrameStatus.OK and field.seed_source == SeedSource.FEATURES
+    assert found(field) > 0.99 and error_px(field, steps, H) < 0.03
+
+
+def test_lost_and_found_again_at_once() -> None:
+    steps = tracking()
+    lost = steps.track(SECOND, np.zeros((480, 640), np.uint8))
+    assert lost.status == FrameStatus.LOST and lost.view is None
+    assert np.isnan(lost.moved_px).all() and lost.seed_source == SeedSource.NONE
+    H = turned(12, (40, 20))
+    again = steps.track(2 * SECOND, view(H))
+    assert again.status == FrameStatus.OK and found(again) > 0.99 and error_px(again, steps, H) < 0.03
+
+
+def test_unrelated_pattern_is_not_found() -> None:
+    """Another speckle of the same kind must not be taken for the panel."""
+    other = view(turned(0, (0, 0)))[::-1, ::-1].copy()
+    field = tracking().track(SECOND, other)
+    assert field.status == FrameStatus.LOST
+
+
+def test_hidden_half_leaves_the_other_half() -> None:
+    steps = tracking()
+    H = turned(1, (3, 2))
+    image = view(H)
+    image[:, :310] = 60
+    field = steps.track(SECOND // 60, image)
+    visible = steps.reference.centres_px[:, 0] > 340
+    hidden = steps.reference.centres_px[:, 0] < 280
+    assert (field.subset_status[visible] == 0).all() and error_px(field, steps, H) < 0.03
+    assert (field.subset_status[hidden] != 0).all() and np.isnan(field.moved_px[hidden]).all()
+
+
+@pytest.mark.parametrize("jump_px", [6.0, 24.0])
+def test_both_sides_of_a_suddenly_wide_crack(jump_px: float) -> None:
+    """No single homography fits both sides; the far side is found from features or from its own neighbours."""
+    steps = tracking()
+    field = steps.track(SECOND, view(np.eye(3), jump_px))
+    moved = field.moved_px - steps.reference.centres_px
+    x = steps.reference.centres_px[:, 0]
+    left, right = x < 300, x > 340
+    assert np.abs(moved[left]).max() < 0.05
+    assert np.abs(moved[right] - (jump_px, 0)).max() < 0.05
+
+
+def test_a_crack_that_widens_slowly_is_followed_by_prediction() -> None:
+    """0.5 px a frame up to 20 px: far beyond what one subset's own search reaches from the common homography."""
+    steps = tracking()
+    for k in range(1, 41):
+        field = steps.track(k * SECOND // 60, view(turned(0.1 * k, (k, 0)), 0.5 * k))
+        assert field.seed_source == SeedSource.PREDICTION
+    right = steps.reference.centres_px[:, 0] > 345
+    assert (field.subset_status[right] == 0).mean() > 0.99
+
+
+def test_new_reference() -> None:
+    steps = tracking()
+    steps.renew_reference()
+    field = steps.track(SECOND, view(turned(2, (5, 5))))
+    assert field.reference_stamp_ns == SECOND and field.seed_source == SeedSource.REFERENCE
+
+
+def test_bad_images_say_why_and_change_nothing() -> None:
+    steps = tracking()
+    before = steps.reference
+    unreadable = steps.track(SECOND, None, "image encoding 'rgb8' is not supported")
+    small = steps.track(2 * SECOND, np.zeros((100, 640), np.uint8))
+    assert {unreadable.status, small.status} == {FrameStatus.BAD_IMAGE}
+    assert "rgb8" in unreadable.reason and "640 x 100 px" in small.reason
+    assert steps.reference is before
+
+
+def test_bad_image_before_any_reference() -> None:
+    steps = SubsetTracking(CAMERA, REGIONS, CorrelationSettings(), SearchSettings())
+    field = steps.track(SECOND, None, "empty")
+    assert field.status == FrameStatus.BAD_IMAGE and len(field.moved_px) == 0
+
+
+def test_regions_that_do_not_fit_are_refused_at_the_first_image() -> None:
+    outside = Regions(REGIONS.panel * 2, (), None, None)
+    steps = SubsetTracking(CAMERA, outside, CorrelationSettings(), SearchSettings())
+    with pytest.raises(RegionsError, match="outside the image of 640 x 480 px"):
+        steps.track(0, view(np.eye(3)))

@@ -1,0 +1,132 @@
+"""Writes what docs can take from the code and from the last `make demo`, so that it does not drift from either.
+
+`make docs` runs it; with --check nothing is written, and the exit code is 1 if something that depends on the code alone
+is out of date.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+
+import node_tables
+import settings_tables
+from blocks import replace_block, table
+from pictures import small_copy
+from rgbd_dic_processing.results import HEADER
+
+ROOT = Path(__file__).parents[2]
+DEMO = ROOT / "results" / "demo"
+PICTURES = {"demo_history.png": "history.png", "demo_maps.png": "maps_h_pose_widest.png"}  # docs/images <- results/demo
+
+# Columns of crack_opening.csv: unit, meaning, when it is nan or empty.
+COLUMNS = {
+    "stamp_ns": ("ns", "moment of exposure of the image, since the epoch of its clock", "never"),
+    "method": ("", "compensation method: `h_pose`, `h_3d`, `h_2d` or `pc_3d`", "never"),
+    "opening_mm": ("mm", "change since the reference normal to the crack, positive when its sides part", "not valid"),
+    "sliding_mm": (
+        "mm",
+        "along the crack, right zone minus left; positive is 90 degrees from the normal, from x towards y",
+        "not valid",
+    ),
+    "out_of_plane_mm": ("mm", "into the wall, right zone minus left", "not valid, or not `pc_3d`"),
+    "magnitude_mm": ("mm", "length of all components that are known", "not valid"),
+    "u_opening_mm": ("mm", "standard uncertainty of `opening_mm`", "not valid"),
+    "n_left": ("subsets", "used in the left zone", "never"),
+    "n_right": ("subsets", "used in the right zone", "never"),
+    "depth_offset_s": ("s", "stamp of the image minus that of its ToF frame", "no ToF frame is near enough"),
+    "latency_s": ("s", "from the arrival of the image at `dic_node` to the publishing of its opening", "offline"),
+    "valid": ("", "1 or 0", "never"),
+    "reason": ("", "why it is not valid: a status of `FrameStatus.msg`, a colon, and words", "valid (empty)"),
+}
+
+
+def csv_table() -> str:
+    """The columns of crack_opening.csv."""
+    if tuple(COLUMNS) != tuple(HEADER):
+        raise SystemExit(f"the columns of crack_opening.csv are {', '.join(HEADER)}: describe them in {__file__}")
+    rows = [(f"`{name}`", unit, meaning, missing) for name, (unit, meaning, missing) in COLUMNS.items()]
+    return table(("Column", "Unit", "Meaning", "nan when"), rows)
+
+
+def demo_table() -> str | None:
+    """What `make demo` printed last."""
+    path = DEMO / "summary.md"
+    return path.read_text() if path.exists() else None
+
+
+# File -> its blocks -> what belongs in them; None if that is not there.
+FROM_CODE: dict[str, dict[str, Callable[[], str | None]]] = {
+    "docs/parameters.md": {
+        "stages": lambda: settings_tables.sections(settings_tables.STAGES),
+        "nodes": lambda: settings_tables.sections(settings_tables.NODES),
+        "flight": lambda: settings_tables.sections(settings_tables.FLIGHT),
+    },
+    "docs/nodes.md": {
+        "processing": lambda: node_tables.section("rgbd_dic_processing", node_tables.PROCESSING),
+        "acquisition": lambda: node_tables.section("rgbd_dic_acquisition", node_tables.ACQUISITION),
+    },
+    "docs/files.md": {"csv": csv_table},
+}
+FROM_RUN: dict[str, dict[str, Callable[[], str | None]]] = {"README.md": {"demo": demo_table}}
+PROCESSING_YAML = ROOT / "src/rgbd_dic_processing/config/processing.yaml"
+
+
+def new_texts(blocks: dict[str, dict[str, Callable[[], str | None]]]) -> dict[Path, str]:
+    """Each file with its blocks filled anew; says what is skipped."""
+    texts = {}
+    for name, contents in blocks.items():
+        path = ROOT / name
+        if not path.exists():
+            print(f"{name} is missing: its blocks {', '.join(contents)} are skipped")
+            continue
+        text = path.read_text()
+        for block, make in contents.items():
+            content = make()
+            filled = None if content is None else replace_block(text, block, content)
+            if content is None:
+                print(f"{name}: block {block} is left as it is: run make demo first")
+            elif filled is None:
+                print(
+                    f"{name}: block {block} is skipped: there is no <!-- begin: {block} --> ... <!-- end: {block} -->"
+                )
+            text = filled or text
+        texts[path] = text
+    return texts
+
+
+def copy_pictures() -> None:
+    """Pictures of the demonstration that a page shows, made small."""
+    pages = "".join(path.read_text() for path in (ROOT / "README.md", *ROOT.glob("docs/**/*.md")) if path.exists())
+    for name, source in PICTURES.items():
+        if f"images/{name}" not in pages:
+            print(f"docs/images/{name} is skipped: no page shows it")
+        elif not (DEMO / source).exists():
+            print(f"docs/images/{name} is left as it is: results/demo/{source} is missing; run make demo first")
+        else:
+            small_copy(DEMO / source, ROOT / "docs" / "images" / name)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--check", action="store_true", help="write nothing; exit code 1 if something is out of date")
+    check = parser.parse_args().check
+    missing = node_tables.undocumented_parameters()
+    if missing:
+        raise SystemExit(f"parameters of the processing nodes that settings_tables.py lacks: {', '.join(missing)}")
+    texts = {**new_texts(FROM_CODE), PROCESSING_YAML: settings_tables.processing_yaml()}
+    if not check:
+        texts |= new_texts(FROM_RUN)
+    changed = [path for path, text in texts.items() if not path.exists() or path.read_text() != text]
+    for path in changed:
+        print(f"{path.relative_to(ROOT)}: {'out of date, run make docs' if check else 'written'}")
+        if not check:
+            path.write_text(texts[path])
+    if not check:
+        copy_pictures()
+    return 1 if check and changed else 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
