@@ -22,7 +22,7 @@ PICTURES = {"demo_history.png": "history.png", "demo_maps.png": "maps_h_pose_wid
 
 # Columns of crack_opening.csv: unit, meaning, when it is nan or empty.
 COLUMNS = {
-    "stamp_ns": ("ns", "moment of exposure of the image, since the epoch of its clock", "never"),
+    "stamp_ns": ("ns", "stamp of the image, its moment of exposure, since the epoch", "never"),
     "method": ("", "compensation method: `h_pose`, `h_3d`, `h_2d` or `pc_3d`", "never"),
     "opening_mm": ("mm", "change since the reference normal to the crack, positive when its sides part", "not valid"),
     "sliding_mm": (

@@ -69,7 +69,7 @@ def test_fixed_region_is_the_panel_by_default() -> None:
     [
         ("[1, 2]", "needs an entry 'panel'"),
         ("panel: [[0, 0], [1, 0], [.nan, 1]]", "expected at least 3 points"),
-        ("panel: {a: 1}", "expected at least 3 points"),
+        ("panel: {a: 1}", "expected a list of points"),
         ("{panel: [[0, 0], [9, 0], [9, 9]], crack: [1]}", "expected left and right, or point"),
         (
             "{panel: [[0, 0], [9, 0], [9, 9]], crack: {point: [1, 2], direction: [0, 0], size: [1, 1]}}",

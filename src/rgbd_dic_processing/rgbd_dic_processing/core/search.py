@@ -18,6 +18,9 @@ from .settings import SearchSettings
 
 Array = NDArray[np.float64]
 
+NEWS_PX = 0.5  # an expected position nearer than this to one that was tried tells nothing new
+RETRY_FRAMES = 10  # how often features are asked while a part of the panel stays missing
+
 
 class SeedSource(IntEnum):
     """Where a frame's initial guess came from. Values as in rgbd_dic_msgs/SubsetField."""
@@ -60,7 +63,8 @@ class SubsetSearch:
         self._ideal = camera.undistort(self._centres)
         self._probes = _spread(self._centres, settings.probes)
         self._features = FeatureMatcher(image, self._centres, settings.features)
-        self._neighbours = cKDTree(self._centres)
+        self._around = cKDTree(self._centres).query_ball_point(self._centres, 1.5 * subsets.settings.step)
+        self._missing_before, self._frames_missing = 0.0, 0
         self._history: list[tuple[int, Array]] = []
         self._offsets = np.zeros_like(self._centres)
 
@@ -70,7 +74,7 @@ class SubsetSearch:
             refined = self._confirm(target, Guess(homography, self._offsets))
             if refined is not None:
                 return refined, SeedSource.PREDICTION
-        guess = self._match_features(image)
+        guess = self._match_features(image, None)
         refined = self._confirm(target, guess) if guess is not None else None
         return refined, SeedSource.NONE if refined is None else SeedSource.FEATURES
 
@@ -80,31 +84,69 @@ class SubsetSearch:
         seeds[:, :, 0] += guess.offsets_px
         return seeds
 
-    def complete(self, target: Target, guess: Guess, moved: Correlation) -> Correlation:
-        """Try the subsets that were not found again, each from where its found neighbours are.
+    def complete(self, image: NDArray[np.uint8], target: Target, guess: Guess, moved: Correlation) -> Correlation:
+        """Try the subsets that were not found again: from their found neighbours, then from matched features.
 
-        Repeated while that finds more; so a part that moved unlike the rest is filled in from its border. A subset
-        whose neighbours tell nothing new (within half a pixel of what was tried) is left alone.
+        Features cost much more, so they are asked only when a part of the panel went missing since the last frame, and
+        now and then while it stays missing.
         """
         tried = guess.offsets_px.copy()
-        around = self._neighbours.query_ball_point(self._centres, 1.5 * self._subsets.settings.step)
+        moved = self._from_neighbours(target, guess, moved, tried)
+        missing = np.mean(self._worth_trying(moved))
+        self._frames_missing = self._frames_missing + 1 if missing > self._settings.max_missing else 0
+        if missing - self._missing_before > self._settings.max_missing or self._frames_missing >= RETRY_FRAMES:
+            self._frames_missing = 0
+            matched = self._match_features(image, guess.homography)
+            if matched is not None:
+                away = np.abs(matched.offsets_px - tried).max(axis=1)
+                chosen = np.flatnonzero(self._worth_trying(moved) & (away > NEWS_PX))
+                moved = self._try(target, guess, moved, tried, chosen, matched.offsets_px[chosen])
+                moved = self._from_neighbours(target, guess, moved, tried)
+                missing = np.mean(self._worth_trying(moved))
+        self._missing_before = missing
+        return moved
+
+    def _from_neighbours(self, target: Target, guess: Guess, moved: Correlation, tried: Array) -> Correlation:
+        """Each subset not found, from the median of where its found neighbours are; until that finds no more.
+
+        So a part that moved unlike the rest is filled in from its border. A subset whose neighbours tell nothing new is
+        left alone. `tried` (N, 2), the offsets tried so far, is kept up to date.
+        """
         for _ in range(self._settings.rounds):
             offsets = self._away(guess.homography, moved)
             found = np.isfinite(offsets[:, 0])
-            missing = np.flatnonzero(~found & ~np.isin(moved.status, (SubsetStatus.LOW_TEXTURE, SubsetStatus.SKIPPED)))
-            chosen = []
-            for index in missing:
-                near = offsets[[other for other in around[index] if found[other]]]
-                if len(near) and np.abs(np.median(near, axis=0) - tried[index]).max() > 0.5:
-                    tried[index] = np.median(near, axis=0)
+            chosen, expected = [], []
+            for index in np.flatnonzero(self._worth_trying(moved)):
+                near = offsets[[other for other in self._around[index] if found[other]]]
+                if len(near) and np.abs(np.median(near, axis=0) - tried[index]).max() > NEWS_PX:
                     chosen.append(index)
-            if not chosen:
-                break
-            again = self._subsets.correlate(target, self.seeds(Guess(guess.homography, tried)), np.array(chosen))
-            moved = moved.replaced(np.array(chosen), again)
-            if not np.any(again.valid):
+                    expected.append(np.median(near, axis=0))
+            before = np.sum(moved.valid)
+            moved = self._try(target, guess, moved, tried, np.array(chosen, int), np.array(expected).reshape(-1, 2))
+            if np.sum(moved.valid) == before:
                 break
         return moved
+
+    def _try(
+        self,
+        target: Target,
+        guess: Guess,
+        moved: Correlation,
+        tried: Array,
+        chosen: NDArray[np.intp],
+        offsets_px: Array,
+    ) -> Correlation:
+        if not len(chosen):
+            return moved
+        tried[chosen] = offsets_px
+        return moved.replaced(
+            chosen, self._subsets.correlate(target, self.seeds(Guess(guess.homography, tried)), chosen)
+        )
+
+    @staticmethod
+    def _worth_trying(moved: Correlation) -> NDArray[np.bool_]:
+        """Which subsets were not found, though they have texture."""
+        return ~moved.valid & ~np.isin(moved.status, (SubsetStatus.LOW_TEXTURE, SubsetStatus.SKIPPED))
 
     def remember(self, stamp_ns: int, guess: Guess, moved: Correlation) -> None:
         """Keep what was found, for the next prediction."""
@@ -150,12 +192,14 @@ class SubsetSearch:
         expected = self._camera.distort(apply_homography(homography, self._ideal))
         return np.column_stack([moved.x_px, moved.y_px]) - expected
 
-    def _match_features(self, image: NDArray[np.uint8]) -> Guess | None:
+    def _match_features(self, image: NDArray[np.uint8], homography: Array | None) -> Guess | None:
+        """A guess from features alone, or, with a known homography, only the offsets from it."""
         source, moved = self._features.match(image)
         if len(source) < 8:
             return None
         ideal = self._camera.undistort(source)
-        homography, _ = cv2.findHomography(ideal, self._camera.undistort(moved), cv2.RANSAC, 3.0, maxIters=5000)
+        if homography is None:
+            homography, _ = cv2.findHomography(ideal, self._camera.undistort(moved), cv2.RANSAC, 3.0, maxIters=5000)
         if homography is None or not np.isfinite(apply_homography(homography, self._ideal)).all():
             return None
         away = moved - self._camera.distort(apply_homography(homography, ideal))

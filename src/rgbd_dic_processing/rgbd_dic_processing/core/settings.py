@@ -32,6 +32,9 @@ class SearchSettings(Settings):
     rounds: int = setting(
         20, low=0, high=1000, doc="How often subsets that were not found are tried from their neighbours."
     )
+    max_missing: float = setting(
+        0.1, low=0.0, high=1.0, doc="Share of the subsets that may go missing before features are matched for them."
+    )
     features: int = setting(
         2000, unit="features", low=100, high=20000, doc="Features matched when the prediction fails."
     )

@@ -95,7 +95,8 @@ class SubsetTracking:
             guess, source = self._search.find(stamp_ns, image, target)
         if guess is None:
             return self._nothing(stamp_ns, FrameStatus.LOST, "the reference pattern was not found in the image")
-        moved = self._search.complete(target, guess, self._subsets.correlate(target, self._search.seeds(guess)))
+        moved = self._subsets.correlate(target, self._search.seeds(guess))
+        moved = self._search.complete(image, target, guess, moved)
         self._search.remember(stamp_ns, guess, moved)
         return SubsetField(
             stamp_ns,
