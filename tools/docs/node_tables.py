@@ -56,7 +56,7 @@ def section(package: str, executables: tuple[str, ...]) -> str:
 
 def undocumented_parameters() -> set[str]:
     """Parameters of the processing nodes that config/processing.yaml would lack."""
-    known = parameter_names({**STAGES, "image_qos": NODES["image_qos"]}) | set(PATHS)
+    known = parameter_names({**STAGES, "sensor_qos": NODES["sensor_qos"]}) | set(PATHS)
     return {name for executable in PROCESSING for name in _facts("rgbd_dic_processing", executable).parameters} - known
 
 

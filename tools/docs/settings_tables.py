@@ -12,18 +12,18 @@ from rgbd_dic_acquisition.nodes.camera_node import CameraNodeSettings
 from rgbd_dic_acquisition.nodes.mavlink_node import MavlinkNodeSettings
 from rgbd_dic_acquisition.nodes.player_node import PlayerSettings
 from rgbd_dic_acquisition.nodes.recorder_node import RecorderSettings
-from rgbd_dic_acquisition.nodes.ros_messages import QosSettings
 from rgbd_dic_acquisition.nodes.tof_node import TofNodeSettings
 from rgbd_dic_acquisition.settings import Settings
 from rgbd_dic_acquisition.simulator.flight import FlightSettings
 from rgbd_dic_processing.core.settings import ProcessingSettings
+from rgbd_dic_processing.nodes.inputs import SensorQosSettings
 
 STAGES: dict[str, type[Settings]] = {
     field.name: field.default_factory for field in dataclasses.fields(ProcessingSettings)
 }
 # Groups of parameters of the nodes: the part of the name before the dot, or the node's own.
 NODES: dict[str, type[Settings]] = {
-    "image_qos": QosSettings,
+    "sensor_qos": SensorQosSettings,
     "camera_node": CameraNodeSettings,
     "tof_node": TofNodeSettings,
     "mavlink_node": MavlinkNodeSettings,
@@ -51,7 +51,7 @@ def sections(groups: dict[str, type[Settings]]) -> str:
 
 def processing_yaml() -> str:
     """All parameters of the processing nodes with their defaults."""
-    groups = {**STAGES, "image_qos": NODES["image_qos"]}
+    groups = {**STAGES, "sensor_qos": NODES["sensor_qos"]}
     lines = [
         "# All parameters of the processing nodes, with their defaults (docs/parameters.md). Written by `make docs`.",
         "# `/**` makes them hold for every node in any namespace; a node takes those that it knows.",

@@ -58,21 +58,27 @@ class BagReader:
         self.end_ns = 0 if empty else self._reader.end_time - 1
 
     def require(self, topic: str, typename: str) -> str:
-        """The name of a topic as the bag spells it (with or without the first slash), if it is of this type.
+        """The name of a topic as the bag spells it, with or without a namespace, if it is of this type.
 
         Raises:
-            BagError: there is no such topic or it has another type.
+            BagError: there is no such topic, it is in several namespaces, or it has another type.
         """
-        name = next((name for name in self.topics if name.lstrip("/") == topic.lstrip("/")), None)
+        wanted = "/" + topic.lstrip("/")
+        names = [name for name in self.topics if f"/{name}".endswith(wanted)]
+        exact = [name for name in names if name.lstrip("/") == topic.lstrip("/")]
+        name = (exact or names or [None])[0]
+        if not exact and len(names) > 1:
+            raise BagError(
+                f"{self.path} has {topic} in several namespaces: {', '.join(names)}; record one of them alone"
+            )
         if name is None:
             raise BagError(
-                f"{self.path} has no topic {topic}; it has {', '.join(self.topics) or 'none'}. "
-                "Record that topic, or give its name in the bag"
+                f"{self.path} has no topic {topic}; it has {', '.join(self.topics) or 'none'}. Record that topic"
             )
         if self.topics[name].type != typename:
             raise BagError(
                 f"{self.path}: topic {name} is of type {self.topics[name].type}, needed is {typename}; "
-                "record the right topic, or give its name in the bag"
+                "record the right topic"
             )
         return name
 

@@ -167,12 +167,15 @@ def load_calibration(path: Path | str) -> Calibration:
     if not isinstance(content, dict) or "camera" not in content:
         raise CalibrationError(f"{path}: needs an entry 'camera' (see docs/files.md)")
     try:
-        extrinsics = content.get("T_camera_tof", {})
+        camera = _camera_from(content["camera"])
+        if not content.get("tof"):
+            return Calibration(camera)
+        extrinsics = content["T_camera_tof"]
         return Calibration(
-            camera=_camera_from(content["camera"]),
-            tof=_camera_from(content["tof"]) if content.get("tof") else None,
-            R_camera_tof=_orthonormal(np.array(extrinsics.get("rotation", np.eye(3)), float)),
-            t_camera_tof=np.array(extrinsics.get("translation_m", np.zeros(3)), float),
+            camera,
+            _camera_from(content["tof"]),
+            _orthonormal(np.array(extrinsics["rotation"], float)),
+            np.array(extrinsics["translation_m"], float),
         )
     except CalibrationError as error:
         raise CalibrationError(f"{path}: {error}") from error

@@ -43,7 +43,10 @@ TOF_TOPICS = (
 
 @dataclass(frozen=True)
 class NodeSpec:
-    """One node: what it is started from, and the topics it takes and gives (names after remapping)."""
+    """One node: what it is started from, and the topics it takes and gives (names after remapping).
+
+    follows_clock: whether it runs by /clock when a bag is played; the player, which gives that clock, does not.
+    """
 
     package: str
     executable: str
@@ -52,6 +55,7 @@ class NodeSpec:
     name: str = ""
     parameters: dict[str, Any] = field(default_factory=dict)
     remappings: dict[str, str] = field(default_factory=dict)
+    follows_clock: bool = True
 
     @property
     def node_name(self) -> str:
@@ -89,7 +93,7 @@ def processing_nodes(
             "dic_node",
             CAMERA_TOPICS,
             ("reference", "subset_field"),
-            parameters={**calibration, **regions, **stage("correlation", "search"), "image_qos.depth": 50},
+            parameters={**calibration, **regions, **stage("correlation", "search")},
         ),
         NodeSpec(
             PROCESSING,
@@ -187,6 +191,7 @@ def player(
             "acknowledge_topics": [f"{topic} {topic_type(topic)}" for topic in answers],
             "wait_for_matched": [f"{topic} {expected[topic]}" for topic in topics if expected[topic]],
         },
+        follows_clock=False,
     )
 
 

@@ -34,7 +34,7 @@ class GraphProcesses:
     def start(self, spec: NodeSpec) -> subprocess.Popen:
         """Start one node; its output goes to `<node>.log`."""
         parameters = self._folder / f"{spec.node_name}.yaml"
-        values = {"use_sim_time": self._use_sim_time, **spec.parameters}
+        values = {"use_sim_time": self._use_sim_time and spec.follows_clock, **spec.parameters}
         values = {name: value for name, value in values.items() if value != []}
         parameters.write_text(yaml.safe_dump({"/**": {"ros__parameters": values}}))
         command = [str(_executable(spec)), "--ros-args", "-r", f"__node:={spec.node_name}"]

@@ -65,6 +65,8 @@ def run(options: argparse.Namespace) -> int:
     output = options.out / "bag"
     if output.exists():
         raise RgbdDicError(f"{output} exists already: choose another --out, or remove it first")
+    if options.namespace and not options.namespace.startswith("/"):
+        options.namespace = f"/{options.namespace}"
     source = options.bag or options.out
     files = GraphFiles(
         required_file(options.calibration, source, "calibration.yaml"),
@@ -82,6 +84,8 @@ def run(options: argparse.Namespace) -> int:
             check_topics(bag)
             use_points = has_clouds(bag)
             recorded = {name.lstrip("/"): topic.count for name, topic in bag.topics.items()}
+        if "camera/image_raw" not in recorded:
+            raise RgbdDicError(f"{options.bag}: its topics are in a namespace; the graph plays bags without one only")
         images, topics = recorded["camera/image_raw"], tuple(t for t in SENSOR_TOPICS if t in recorded)
     nodes = processing_nodes(files, settings, methods, use_points)
     if not options.bag:

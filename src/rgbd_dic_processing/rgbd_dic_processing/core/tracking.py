@@ -80,7 +80,9 @@ class SubsetTracking:
             RegionsError: if the regions do not fit the first image; nothing can be measured then.
         """
         size = (self._camera.height, self._camera.width)
-        if image is not None and image.shape != size:
+        if image is not None and image.dtype != np.uint8:
+            reason = f"image has {8 * image.dtype.itemsize} bits a pixel; convert it to mono8"
+        elif image is not None and image.shape != size:
             reason = (
                 f"image is {image.shape[1]} x {image.shape[0]} px, the calibrated camera has {size[1]} x {size[0]} px"
             )

@@ -16,7 +16,7 @@ from ..core.displacement import DisplacementField, DisplacementMeasurement
 from ..core.regions import load_regions
 from ..core.settings import CompensationSettings
 from ..core.status import FrameStatus
-from .inputs import STREAM_DEPTH, CameraInput, IdleFlush
+from .inputs import STREAM_DEPTH, CameraInput, IdleFlush, sensor_qos
 from .messages import (
     displacement_field_message,
     frame_pair_from_message,
@@ -36,7 +36,7 @@ class CompensationNode(Node):
             self.create_publisher(DisplacementFieldMessage, "displacement_field", STREAM_DEPTH)
         )
         self._step: DisplacementMeasurement | None = None
-        self._camera = CameraInput(self, self._diagnostics, self._start)
+        self._camera = CameraInput(self, self._diagnostics, sensor_qos(self), self._start)
         self._idle = IdleFlush(self, lambda: self._publish(self._step.flush()))
 
     def _start(self, camera: Camera) -> None:

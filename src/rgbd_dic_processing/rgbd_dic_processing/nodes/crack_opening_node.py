@@ -18,7 +18,7 @@ from rgbd_dic_msgs.msg import CrackOpening, DisplacementField
 from ..core.crack import CrackMeasurement
 from ..core.regions import load_regions
 from ..core.settings import CrackSettings
-from .inputs import STREAM_DEPTH, CameraInput
+from .inputs import STREAM_DEPTH, CameraInput, sensor_qos
 from .messages import crack_opening_message, displacement_field_from_message
 
 
@@ -33,7 +33,7 @@ class CrackOpeningNode(Node):
         self._settings = declare(self, CrackSettings, "crack")
         self._diagnostics = Diagnostics(self)
         self._output = self._diagnostics.watch(self.create_publisher(CrackOpening, "crack_opening", STREAM_DEPTH))
-        self._camera = CameraInput(self, self._diagnostics, self._start)
+        self._camera = CameraInput(self, self._diagnostics, sensor_qos(self), self._start)
 
     def _start(self, camera: Camera) -> None:
         self._crack = CrackMeasurement(camera, self._zones, self._settings)

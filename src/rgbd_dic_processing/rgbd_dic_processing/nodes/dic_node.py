@@ -11,7 +11,7 @@ from rgbd_dic_acquisition.errors import ImageError
 from rgbd_dic_acquisition.messages import image_from_message, stamp_to_ns
 from rgbd_dic_acquisition.nodes.diagnostics import Diagnostics
 from rgbd_dic_acquisition.nodes.parameters import declare, declare_path
-from rgbd_dic_acquisition.nodes.ros_messages import QosSettings, image_qos, latched_qos, make
+from rgbd_dic_acquisition.nodes.ros_messages import latched_qos, make
 from rgbd_dic_acquisition.nodes.spinning import run
 from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger
@@ -24,7 +24,7 @@ from ..core.regions import load_regions
 from ..core.settings import SearchSettings
 from ..core.status import FrameStatus
 from ..core.tracking import SubsetTracking
-from .inputs import STREAM_DEPTH, CameraInput
+from .inputs import STREAM_DEPTH, CameraInput, sensor_qos
 from .messages import reference_message, subset_field_message
 
 
@@ -43,9 +43,9 @@ class DicNode(Node):
             self.create_publisher(ReferenceMessage, "reference", latched_qos())
         )
         self._output = self._diagnostics.watch(self.create_publisher(SubsetFieldMessage, "subset_field", STREAM_DEPTH))
-        self._camera = CameraInput(self, self._diagnostics, self._start)
+        qos = sensor_qos(self)
+        self._camera = CameraInput(self, self._diagnostics, qos, self._start)
         self.create_service(Trigger, "~/set_reference", self._set_reference)
-        qos = image_qos(declare(self, QosSettings, "image_qos"))
         self.create_subscription(Image, "camera/image_raw", self._image, qos)
 
     def _start(self, camera: Camera) -> None:
@@ -62,6 +62,9 @@ class DicNode(Node):
         received_ns = time.time_ns()
         if self._tracking is None:
             self._diagnostics.count("without camera_info")
+            self._diagnostics.warn(
+                "images come, but no calibration: no calibration_file, and no camera/camera_info yet"
+            )
             return
         try:
             image, reason = image_from_message(message), ""

@@ -4,17 +4,33 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
+from rclpy.qos import QoSProfile
 from rgbd_dic_acquisition.calibration import Calibration, Camera, load_calibration
 from rgbd_dic_acquisition.errors import CalibrationError
 from rgbd_dic_acquisition.nodes.diagnostics import Diagnostics
-from rgbd_dic_acquisition.nodes.parameters import declare_path
+from rgbd_dic_acquisition.nodes.parameters import declare, declare_path
+from rgbd_dic_acquisition.nodes.ros_messages import QosSettings, image_qos
+from rgbd_dic_acquisition.settings import setting
 from sensor_msgs.msg import CameraInfo
 
 STREAM_DEPTH = 100  # messages that a slow node may lag behind a reliable stream
+
+
+@dataclass(frozen=True)
+class SensorQosSettings(QosSettings):
+    """How the topics of the sensors are subscribed; a reliable subscription does not hear a best-effort driver."""
+
+    depth: int = setting(STREAM_DEPTH, doc="frames kept while the node is busy", unit="frames", low=1, high=1000)
+
+
+def sensor_qos(node: Node) -> QoSProfile:
+    """The parameters `sensor_qos.*` as a profile."""
+    return image_qos(declare(node, SensorQosSettings, "sensor_qos"))
 
 
 class CameraInput:
@@ -23,12 +39,12 @@ class CameraInput:
     The file wins; a CameraInfo that differs from it is warned about. `on_camera` is called once.
     """
 
-    def __init__(self, node: Node, diagnostics: Diagnostics, on_camera: Callable[[Camera], None]):
-        self._diagnostics, self._on_camera = diagnostics, on_camera
+    def __init__(self, node: Node, diagnostics: Diagnostics, qos: QoSProfile, on_camera: Callable[[Camera], None]):
+        self._node, self._diagnostics, self._on_camera = node, diagnostics, on_camera
         path = declare_path(node, "calibration_file", "calibration.yaml; camera_info is used if empty", required=False)
         self.calibration: Calibration | None = load_calibration(path) if path else None
         self.camera: Camera | None = None
-        self._subscription = node.create_subscription(CameraInfo, "camera/camera_info", self._camera_info, STREAM_DEPTH)
+        node.create_subscription(CameraInfo, "camera/camera_info", self._camera_info, qos)
         self._checked = False
         if self.calibration is not None:
             self._take(self.calibration.camera)
@@ -46,7 +62,8 @@ class CameraInput:
         if self.camera is None:
             self._take(seen)
         elif not np.allclose(seen.matrix, self.camera.matrix, atol=1e-6):
-            self._diagnostics.warn("camera/camera_info differs from calibration_file; the file is used")
+            self._diagnostics.count("camera_info that differs from calibration_file")
+            self._node.get_logger().warning("camera/camera_info differs from calibration_file; the file is used")
 
     def _take(self, camera: Camera) -> None:
         self.camera = camera

@@ -15,7 +15,7 @@ from rgbd_dic_msgs.msg import FramePair as FramePairMessage
 
 from ..core.pairing import FramePair, FramePairing
 from ..core.settings import PairingSettings
-from .inputs import STREAM_DEPTH, IdleFlush
+from .inputs import STREAM_DEPTH, IdleFlush, sensor_qos
 from .messages import frame_pair_message
 
 
@@ -27,11 +27,12 @@ class PairingNode(Node):
         self._diagnostics = Diagnostics(self)
         self._output = self._diagnostics.watch(self.create_publisher(FramePairMessage, "frame_pair", STREAM_DEPTH))
         self._idle = IdleFlush(self, lambda: self._publish(self._pairing.flush()))
-        self.create_subscription(CameraInfo, "camera/camera_info", self._image, STREAM_DEPTH)
+        qos = sensor_qos(self)
+        self.create_subscription(CameraInfo, "camera/camera_info", self._image, qos)
         if self.declare_parameter("use_points", False).value:
-            self.create_subscription(PointCloud2, "tof/points", self._points, STREAM_DEPTH, raw=True)
+            self.create_subscription(PointCloud2, "tof/points", self._points, qos, raw=True)
         else:
-            self.create_subscription(CameraInfo, "tof/depth/camera_info", self._depth, STREAM_DEPTH)
+            self.create_subscription(CameraInfo, "tof/depth/camera_info", self._depth, qos)
 
     def _image(self, info: CameraInfo) -> None:
         self._frame_id = info.header.frame_id
@@ -48,7 +49,12 @@ class PairingNode(Node):
 
     def _publish(self, pairs: list[FramePair]) -> None:
         for pair in pairs:
-            self._diagnostics.count("paired" if pair.depth_stamp_ns is not None else "without ToF frame")
+            if pair.depth_stamp_ns is not None:
+                self._diagnostics.count("paired")
+                self._diagnostics.ok()
+            else:
+                self._diagnostics.count("without ToF frame")
+                self._diagnostics.warn("images without a ToF frame near enough in time")
             self._output.publish(frame_pair_message(make, pair, self._frame_id))
 
 

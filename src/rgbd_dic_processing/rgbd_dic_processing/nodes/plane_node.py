@@ -18,7 +18,7 @@ from rgbd_dic_msgs.msg import SubsetField as SubsetFieldMessage
 from ..core.plane import PanelPlane, PlaneEstimate
 from ..core.regions import load_regions
 from ..core.settings import PlaneSettings
-from .inputs import STREAM_DEPTH, IdleFlush
+from .inputs import STREAM_DEPTH, IdleFlush, sensor_qos
 from .messages import plane_message, subset_field_from_message
 
 
@@ -34,10 +34,11 @@ class PlaneNode(Node):
         self._diagnostics = Diagnostics(self)
         self._output = self._diagnostics.watch(self.create_publisher(PlaneStamped, "plane", STREAM_DEPTH))
         self._idle = IdleFlush(self, lambda: self._publish(self._planes.flush()))
+        qos = sensor_qos(self)
         if self.declare_parameter("use_points", False).value:
-            self.create_subscription(PointCloud2, "tof/points", self._points, STREAM_DEPTH)
+            self.create_subscription(PointCloud2, "tof/points", self._points, qos)
         else:
-            self.create_subscription(Image, "tof/depth/image_raw", self._depth, STREAM_DEPTH)
+            self.create_subscription(Image, "tof/depth/image_raw", self._depth, qos)
         self.create_subscription(SubsetFieldMessage, "subset_field", self._subset_field, STREAM_DEPTH)
 
     def _depth(self, message: Image) -> None:
