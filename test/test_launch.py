@@ -95,6 +95,7 @@ def expected(specs: list[NodeSpec], use_sim_time: bool) -> list[NodeSpec]:
             takes=(),
             gives=(),
             name=spec.node_name,
+            follows_clock=True,
             parameters={
                 "use_sim_time": use_sim_time,
                 **{name: value for name, value in spec.parameters.items() if value != []},

@@ -153,6 +153,18 @@ class Calibration:
             raise CalibrationError(f"T_camera_tof.translation_m must be three numbers: {translation.tolist()}")
 
 
+def pixel_rays(camera: Camera) -> Array:
+    """Rays (rows, cols, 3), z = 1, of all raw pixels of a camera."""
+    columns, rows = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+    pixels = np.stack([columns, rows], axis=-1).reshape(-1, 2).astype(float)
+    return camera.rays(camera.undistort(pixels)).reshape(camera.height, camera.width, 3)
+
+
+def points_from_depth(camera: Camera, depth_m: NDArray[np.floating]) -> Array:
+    """Points (rows * cols, 3) [m] of a depth image (rows, cols) [m] in the sensor's frame; NaN where there is none."""
+    return (pixel_rays(camera) * np.asarray(depth_m, float)[..., None]).reshape(-1, 3)
+
+
 def load_calibration(path: Path | str) -> Calibration:
     """Read calibration.yaml.
 

@@ -194,8 +194,9 @@ def _matched(names=RECORDED, count: int = 1) -> list[str]:
 @pytest.mark.parametrize("rate", [1.0, 0.0])
 def test_what_is_played_is_recorded_byte_for_byte(processes, bag, tmp_path, rate):
     output = tmp_path / "copy"
-    recorder = processes.node("recorder_node", output=str(output), topics=_requested(), use_sim_time=True)
-    player = processes.node("player_node", bag=str(bag), rate=rate, wait_for_matched=_matched())
+    deep = {"queue_depth": 1000}  # the whole bag: without acknowledgements nothing else holds a fast player back
+    recorder = processes.node("recorder_node", output=str(output), topics=_requested(), use_sim_time=True, **deep)
+    player = processes.node("player_node", bag=str(bag), rate=rate, wait_for_matched=_matched(), **deep)
     log = _finish(player)
     _stop(recorder)
     source, copy = _messages(bag), _messages(output)

@@ -15,7 +15,7 @@ import yaml
 from rgbd_dic_acquisition.errors import RgbdDicError
 
 from .core.crack import CrackOpening
-from .core.displacement import DisplacementField
+from .core.displacement_field import DisplacementField
 from .core.status import FrameStatus
 from .core.tracking import Reference
 from .results import CSV_NAME, read_openings, write_openings

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .core.displacement import DisplacementField
+from .core.displacement_field import DisplacementField
 from .core.uncertainty import Array
 from .results import Truth, compare
 from .runs import Run

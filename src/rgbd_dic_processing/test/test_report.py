@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from rgbd_dic_acquisition.errors import RgbdDicError
 from rgbd_dic_processing.core.crack import CrackOpening
-from rgbd_dic_processing.core.displacement import DisplacementField
+from rgbd_dic_processing.core.displacement_field import DisplacementField
 from rgbd_dic_processing.core.regions import load_regions
 from rgbd_dic_processing.core.settings import ProcessingSettings
 from rgbd_dic_processing.core.status import FrameStatus

@@ -7,11 +7,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from rclpy.node import Node
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
-from ..calibration import Calibration, load_calibration
+from ..calibration import Calibration, load_calibration, points_from_depth
 from ..errors import CalibrationError, RgbdDicError
-from ..messages import TF, camera_info_message, depth_message, image_message, transform_message
+from ..messages import TF, camera_info_message, depth_message, image_message, points_message, transform_message
 from ..settings import setting
 from ..simulator.flight import FlightSettings
 from ..simulator.live import SimulatedTof
@@ -31,10 +31,14 @@ class TofNodeSettings(QosSettings):
     source: str = setting("simulated", doc="where the depth frames come from", choices=("simulated",))
     frame_id: str = setting("tof_optical_frame", doc="frame of the depth: z forward, x right, y down")
     camera_frame_id: str = setting("camera_optical_frame", doc="the greyscale camera's, parent in /tf_static")
+    publish_points: bool = setting(False, doc="whether tof/points is published too")
 
 
 class TofNode(Node):
-    """Publishes `tof/depth/image_raw` (16UC1, mm, 0 invalid), its camera_info, intensity and confidence."""
+    """Publishes `tof/depth/image_raw` (16UC1, mm, 0 invalid), its camera_info, intensity and confidence.
+
+    Optionally `tof/points`, one point a pixel [m], NaN where there is none.
+    """
 
     def __init__(self) -> None:
         super().__init__("tof_node")
@@ -51,6 +55,7 @@ class TofNode(Node):
         self._info = self._publisher(CameraInfo, "tof/depth/camera_info")
         self._intensity = self._publisher(Image, "tof/intensity/image_raw")
         self._confidence = self._publisher(Image, "tof/confidence/image_raw")
+        self._points = self._publisher(PointCloud2, "tof/points") if self._settings.publish_points else None
         self._publish_transform(calibration)
 
     def work(self) -> Iterator[float]:
@@ -67,6 +72,9 @@ class TofNode(Node):
         about = (frame.stamp_ns, self._settings.frame_id)
         self._depth.publish(depth_message(make, *about, frame.depth_m))
         self._info.publish(camera_info_message(make, *about, self._camera))
+        if self._points is not None:
+            cloud = points_message(make, *about, points_from_depth(self._camera, frame.depth_m))
+            self._points.publish(cloud)
         for publisher, array in ((self._intensity, frame.intensity), (self._confidence, frame.confidence)):
             if array is not None:
                 publisher.publish(image_message(make, *about, array, "mono16"))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rgbd_dic_acquisition.calibration import Camera
 from scipy.sparse import csr_matrix
 
-from .displacement import DisplacementField
+from .displacement_field import DisplacementField
 from .geometry import apply_homography
 from .homography import fit_homography
 from .regions import CrackZones

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from rgbd_dic_acquisition.calibration import Calibration
 
 from .crack import CrackMeasurement, CrackOpening
-from .displacement import DisplacementField, DisplacementMeasurement
+from .displacement import DisplacementMeasurement
+from .displacement_field import DisplacementField
 from .pairing import FramePair, FramePairing
 from .plane import PanelPlane, PlaneEstimate
 from .regions import Regions

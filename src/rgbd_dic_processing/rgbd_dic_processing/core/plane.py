@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from rgbd_dic_acquisition.calibration import Calibration, Camera
+from rgbd_dic_acquisition.calibration import Calibration, pixel_rays
 from rgbd_dic_acquisition.errors import CalibrationError, MeasurementError
 
 from .geometry import Plane, apply_homography
@@ -128,7 +128,7 @@ class PanelPlane:
         self._settings = settings
         self._crack = regions.crack
         self._mask = polygon_mask(regions.panel, calibration.camera.width, calibration.camera.height)
-        self._rays = None if calibration.tof is None else _pixel_rays(calibration.tof)
+        self._rays = None if calibration.tof is None else pixel_rays(calibration.tof)
         self._waiting: deque[tuple[int, Array | None, str]] = deque()
         self._views: deque[tuple[int, Array | None]] = deque(maxlen=64)
 
@@ -258,10 +258,3 @@ class PlaneMotion:
         self._last = (depth_stamp_ns, pi)
         change = self._rate * (stamp_ns - depth_stamp_ns) * 1e-9
         return Plane.from_inverse_depth(pi, plane.inverse_depth_covariance() + np.outer(change, change))
-
-
-def _pixel_rays(camera: Camera) -> Array:
-    """Rays (rows, cols, 3), z = 1, of all pixels."""
-    columns, rows = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
-    pixels = np.stack([columns, rows], axis=-1).reshape(-1, 2).astype(float)
-    return camera.rays(camera.undistort(pixels)).reshape(camera.height, camera.width, 3)

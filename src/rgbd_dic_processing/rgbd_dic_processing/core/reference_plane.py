@@ -23,13 +23,15 @@ class ReferencePlane:
 
     def __init__(self, camera: Camera, robust_sigmas: float):
         self._camera, self._robust_sigmas = camera, robust_sigmas
-        self._carried: dict[int, tuple[Array, Array]] = {}
+        self._newest_ns, self._count = -1, 0
+        # sums of W, W pi and pi . W pi over the carried planes
+        self._weight, self._weighted, self._squared = np.zeros((3, 3)), np.zeros(3), 0.0
         self.first: Plane | None = None
         self.mean: Plane | None = None
 
     def knows(self, depth_stamp_ns: int) -> bool:
-        """Whether the plane of this ToF frame is in already."""
-        return depth_stamp_ns in self._carried
+        """Whether the plane of this ToF frame, or of a later one, is in already."""
+        return depth_stamp_ns <= self._newest_ns
 
     def add(
         self,
@@ -55,18 +57,20 @@ class ReferencePlane:
         carried = plane.moved(R, t)
         if carried.normal[2] <= 0 or carried.d >= 0:
             raise MeasurementError("a ToF plane, carried to the reference, lies behind the camera")
-        weight = np.linalg.inv(carried.inverse_depth_covariance())
-        self._carried[depth_stamp_ns] = (carried.inverse_depth, weight)
+        pi, weight = carried.inverse_depth, np.linalg.inv(carried.inverse_depth_covariance())
+        self._weight = self._weight + weight
+        self._weighted = self._weighted + weight @ pi
+        self._squared += float(pi @ weight @ pi)
+        self._newest_ns, self._count = depth_stamp_ns, self._count + 1
         if self.first is None:
             self.first = carried
         self.mean = self._average()
 
     def _average(self) -> Plane:
-        total = sum(weight for _, weight in self._carried.values())
-        covariance = np.linalg.inv(total)
-        mean = covariance @ sum(weight @ pi for pi, weight in self._carried.values())
-        freedom = 3 * (len(self._carried) - 1)
+        covariance = np.linalg.inv(self._weight)
+        mean = covariance @ self._weighted
+        freedom = 3 * (self._count - 1)
         if freedom:
-            chi2 = sum((pi - mean) @ weight @ (pi - mean) for pi, weight in self._carried.values())
+            chi2 = self._squared - mean @ self._weighted
             covariance = covariance * max(1.0, chi2 / freedom)
         return Plane.from_inverse_depth(mean, covariance)

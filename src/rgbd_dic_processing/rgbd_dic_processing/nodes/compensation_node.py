@@ -12,7 +12,8 @@ from rgbd_dic_acquisition.nodes.spinning import run
 from rgbd_dic_msgs.msg import DisplacementField as DisplacementFieldMessage
 from rgbd_dic_msgs.msg import FramePair, PlaneStamped, Reference, SubsetField
 
-from ..core.displacement import DisplacementField, DisplacementMeasurement
+from ..core.displacement import DisplacementMeasurement
+from ..core.displacement_field import DisplacementField
 from ..core.regions import load_regions
 from ..core.settings import CompensationSettings
 from ..core.status import FrameStatus

@@ -20,7 +20,7 @@ from rgbd_dic_acquisition.messages import (
 )
 
 from ..core.crack import CrackOpening
-from ..core.displacement import DisplacementField
+from ..core.displacement_field import DisplacementField
 from ..core.geometry import Plane
 from ..core.pairing import FramePair
 from ..core.plane import PlaneEstimate

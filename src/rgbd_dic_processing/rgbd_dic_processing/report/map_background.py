@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from ..core.displacement import DisplacementField
+from ..core.displacement_field import DisplacementField
 from ..core.regions import Regions
 from ..core.tracking import Reference
 from .drawing import BLACK, VERMILION

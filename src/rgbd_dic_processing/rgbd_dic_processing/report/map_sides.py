@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.displacement import DisplacementField
+from ..core.displacement_field import DisplacementField
 from ..core.regions import CrackZones, Regions
 
 Mask = NDArray[np.bool_]

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from ..core.displacement import DisplacementField
+from ..core.displacement_field import DisplacementField
 from ..core.regions import Regions
 from ..runs import Run
 from .drawing import Picture, method_order, new_figure, save

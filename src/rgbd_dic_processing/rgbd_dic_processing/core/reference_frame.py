@@ -1,0 +1,143 @@
+"""Steps 7 and 8 of the method: displacement in the panel frame, against one reference."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from rgbd_dic_acquisition.calibration import Camera
+
+from .compensation.motion import Compensation, FrameView
+from .displacement_field import DisplacementField
+from .geometry import Plane
+from .joining import JoinedFrame
+from .realignment import Realignment, realign_to_axis, realign_to_principal_axes
+from .reference_plane import ReferencePlane
+from .regions import Regions
+from .settings import CompensationSettings
+from .status import FrameStatus
+from .tracking import Reference
+from .uncertainty import overlap_correlation, quadratic_terms
+
+Array = NDArray[np.float64]
+
+
+class ReferenceFrame:
+    """One reference: what is computed once for it, its plane as it becomes known, and displacements against it.
+
+    ideal_px: (N, 2), undistorted subset centres. fixed: (N,) mask of the fixed region. correlation: (N, N) of the
+    errors of overlapping subsets.
+    """
+
+    def __init__(self, camera: Camera, regions: Regions, settings: CompensationSettings, reference: Reference):
+        self.camera, self.regions, self.settings, self.reference = camera, regions, settings, reference
+        centres = reference.centres_px.astype(float)
+        self.ideal_px = camera.undistort(centres)
+        self.fixed = regions.fixed_members(centres)
+        self.zones = regions.crack.members(centres) if regions.crack is not None else ()
+        self.right = regions.crack.beyond(centres) if regions.crack is not None else np.zeros(len(centres), bool)
+        self._first_step: tuple[float, float] | None = None
+        self.correlation = overlap_correlation(centres, reference.subset_size)
+        self._planes = ReferencePlane(camera, settings.robust_sigmas)
+
+    def take_in_plane(
+        self, frame: JoinedFrame, plane: Plane, moved_px: Array, sigma_px: Array, fixed: NDArray[np.intp]
+    ) -> None:
+        """The plane of the frame's ToF frame, for the reference plane, if the two are near enough in time.
+
+        Args:
+            moved_px, sigma_px: (M, 2) of the found subsets of the fixed region, whose indices are `fixed` (M,).
+
+        Raises:
+            MeasurementError: if it cannot be carried back to the reference.
+        """
+        near = abs(frame.pair.depth_offset_s) <= self.settings.carry_offset_s or self._planes.first is None
+        if near and not self._planes.knows(frame.plane.stamp_ns):
+            self._planes.add(
+                frame.plane.stamp_ns, plane, self.ideal_px[fixed], moved_px, sigma_px, frame.field.homography
+            )
+
+    def plane_for(self, method: str) -> Plane | None:
+        """The reference plane that a method works with; None if none is known yet."""
+        return self._planes.mean if method == "h_pose" else self._planes.first
+
+    def displacement(
+        self, frame: JoinedFrame, method: str, view: FrameView, compensation: Compensation, plane: Plane
+    ) -> DisplacementField:
+        """The displacement of all found subsets of a frame whose motion was compensated with this reference plane."""
+        realignment = self._realignment(plane)
+        motion = compensation.motion
+        start = motion.reference_points(self.ideal_px, realignment)
+
+        def now(points_px: Array) -> Array:
+            return motion.panel_points(points_px, realignment)
+
+        moved = now(view.moved_px)
+        step_m, u_step_m = self._step(frame, method)
+        displacement_m = moved - start
+        displacement_m[self.right, 2] += step_m
+        per_x, per_y = (now(view.moved_px + shift) - moved for shift in np.eye(2))
+        sigma = np.sqrt((per_x * view.sigma_px[:, :1]) ** 2 + (per_y * view.sigma_px[:, 1:]) ** 2)
+        pi_variance = plane.normal @ plane.inverse_depth_covariance() @ plane.normal
+        return DisplacementField(
+            frame.field.stamp_ns,
+            frame.field.reference_stamp_ns,
+            method,
+            FrameStatus.OK,
+            "",
+            frame.pair.depth_offset_s if frame.pair else math.nan,
+            self.reference.subset_size,
+            self.reference.centres_px.astype(np.float32),
+            start[:, :2],
+            displacement_m,
+            sigma.astype(np.float32),
+            _modes(compensation, realignment, self.ideal_px),
+            self._zone_coupling(compensation.coupling, per_x, per_y),
+            float(-plane.d * np.sqrt(pi_variance)),
+            u_step_m,
+            frame.field.image_received_ns,
+        )
+
+    def _realignment(self, plane: Plane) -> Realignment:
+        if self.regions.x_axis is not None:
+            return realign_to_axis(self.camera, plane, self.regions.x_axis)
+        return realign_to_principal_axes(self.camera, plane, self.ideal_px)
+
+    def _step(self, frame: JoinedFrame, method: str) -> tuple[float, float]:
+        """Change of the step across the crack since the first ToF frame, and its uncertainty [m] (pc_3d).
+
+        All points of a frame lie on its one plane, so a step between the sides is not in them; it is added here.
+        """
+        if method != "pc_3d" or frame.plane is None:
+            return math.nan, math.nan
+        if self._first_step is None and not math.isnan(frame.plane.step_m):
+            self._first_step = frame.plane.step_m, frame.plane.u_step_m
+            self._first_stamp_ns = frame.plane.stamp_ns
+        if self._first_step is None:
+            return math.nan, math.nan
+        if frame.plane.stamp_ns == self._first_stamp_ns:
+            return 0.0, 0.0
+        return frame.plane.step_m - self._first_step[0], math.hypot(frame.plane.u_step_m, self._first_step[1])
+
+    def _zone_coupling(self, coupling: Array, per_x: Array, per_y: Array) -> Array:
+        """The coupling (k, N, 2) [px], carried to panel displacements and averaged over the found subsets of a zone."""
+        means = np.zeros((len(coupling), 2, 3))
+        for side, zone in enumerate(self.zones):
+            found = zone[np.isfinite(per_x[zone, 0])]
+            if len(found):
+                means[:, side] = (coupling[:, found, :1] * per_x[found] + coupling[:, found, 1:] * per_y[found]).mean(
+                    axis=1
+                )
+        return means
+
+
+def _modes(compensation: Compensation, realignment: Realignment, ideal_px: Array) -> Array:
+    """The displacement error of each mode, as a quadratic in panel coordinates: exact to first order in the error."""
+    low, high = ideal_px.min(axis=0), ideal_px.max(axis=0)
+    grid = np.stack(np.meshgrid(*np.linspace(low, high, 5).T), axis=-1).reshape(-1, 2)
+    seen = compensation.motion.move(grid)
+    nominal = compensation.motion.panel_points(seen, realignment)
+    terms = np.linalg.pinv(quadratic_terms(nominal[:, :2]))
+    errors = [mode.panel_points(seen, realignment) - nominal for mode in compensation.modes]
+    return np.array([(terms @ error).T for error in errors]).reshape(-1, 3, 6)
