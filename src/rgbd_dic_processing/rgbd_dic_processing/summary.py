@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from .core.displacement import SOLVERS
 from .core.displacement_field import DisplacementField
 from .core.uncertainty import Array
 from .results import Truth, compare
@@ -21,8 +22,10 @@ def summary(run: Run, truth: Truth | None) -> str:
     columns = ("method", "frames", "valid", "RMS error [mm]", "RMS error [px]", "stated uncertainty, RMS [mm]")
     lines = [f"| {' | '.join(columns)} | widest opening [mm] |", "|---" * (len(columns) + 1) + "|"]
     errors = {c.method: c.rms_m for c in compare(run.openings, truth)} if truth is not None else {}
-    for method in dict.fromkeys(opening.method for opening in run.openings):
+    for method in SOLVERS:
         mine = [opening for opening in run.openings if opening.method == method]
+        if not mine:
+            continue
         valid = [opening for opening in mine if opening.valid]
         rms_m = errors.get(method, np.nan)
         stated_m = np.sqrt(np.mean([o.u_opening_m**2 for o in valid])) if valid else np.nan
