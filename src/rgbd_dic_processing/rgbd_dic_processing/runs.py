@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterable
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from importlib import metadata
 from pathlib import Path
@@ -61,8 +61,8 @@ class Run:
     facts: dict[str, Any] = field(default_factory=dict)
     versions: dict[str, str] = field(default_factory=dict)
 
-    def save(self, folder: Path, copies: Iterable[Path] = ()) -> None:
-        """Write the folder; `copies` (regions.yaml, calibration.yaml, truth.csv) are put beside the results.
+    def save(self, folder: Path, copies: Mapping[str, Path | None] | None = None) -> None:
+        """Write the folder; `copies` (name -> file, such as regions.yaml) are put beside the results.
 
         Raises:
             RgbdDicError: if it cannot be written.
@@ -85,9 +85,9 @@ class Run:
                     "step_px": self.reference.step,
                 }
             (folder / RUN_NAME).write_text(yaml.safe_dump(content, sort_keys=False))
-            for path in copies:
-                if path.resolve().parent != folder.resolve():
-                    shutil.copyfile(path, folder / path.name)
+            for name, path in (copies or {}).items():
+                if path is not None and path.resolve() != (folder / name).resolve():
+                    shutil.copyfile(path, folder / name)
         except OSError as error:
             raise RgbdDicError(f"cannot write the results to {folder}: {error.strerror}") from error
 

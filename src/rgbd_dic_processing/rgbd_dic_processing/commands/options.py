@@ -10,7 +10,7 @@ from rgbd_dic_acquisition.errors import RgbdDicError
 from ..core.displacement import SOLVERS
 from ..core.settings import ProcessingSettings, load_settings
 from ..results import read_truth
-from ..runs import Run
+from ..runs import TRUTH_NAME, Run
 from ..summary import SUMMARY_NAME, summary
 
 NOTHING_VALID = 3
@@ -62,9 +62,9 @@ def required_file(given: Path | None, bag: Path, name: str) -> Path:
     return path
 
 
-def finish(run: Run, folder: Path, copies: list[Path | None], truth_path: Path | None) -> int:
-    """Save a run with its summary, print the summary; returns the exit code."""
-    run.save(folder, [path for path in copies if path is not None])
+def finish(run: Run, folder: Path, regions: Path, calibration: Path | None, truth_path: Path | None) -> int:
+    """Save a run with its inputs and its summary, print the summary; returns the exit code."""
+    run.save(folder, {"regions.yaml": regions, "calibration.yaml": calibration, TRUTH_NAME: truth_path})
     text = summary(run, read_truth(truth_path) if truth_path else None)
     (folder / SUMMARY_NAME).write_text(text)
     print(text)

@@ -54,4 +54,4 @@ def run(options: argparse.Namespace) -> int:
         "calibration": str(calibration_path or "in the bag"),
     }
     result = Run(openings, selection.maps(), pipeline.tracking.reference, inputs, settings.as_dict())
-    return finish(result, options.out, [regions_path, calibration_path, truth_path], truth_path)
+    return finish(result, options.out, regions_path, calibration_path, truth_path)

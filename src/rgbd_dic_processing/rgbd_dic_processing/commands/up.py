@@ -94,7 +94,7 @@ def run(options: argparse.Namespace) -> int:
     nodes.append(recorder(output, tuple(dict.fromkeys((*topics, *all_topics(nodes))))))
     openings, facts = _run_graph(options, nodes, topics, methods, images)
     result = _collect(openings, output, settings, files, str(options.bag or "simulated sensors"), facts)
-    return finish(result, options.out, [files.regions, files.calibration, truth_path], truth_path)
+    return finish(result, options.out, files.regions, files.calibration, truth_path)
 
 
 def _run_graph(
