@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from rgbd_dic_acquisition.bag import BagReader, BagWriter
 from system import SAMPLE, rgbd_dic
 
 
@@ -169,6 +170,27 @@ def test_bad_frames_inside_a_good_bag(edited, tmp_path: Path) -> None:
     assert sum("no valid pixel" in reason for reason in reasons) == 3
     assert sum("yuv422" in reason for reason in reasons) == 3
     assert len(reasons) == 6
+
+
+def test_damaged_messages_inside_a_good_bag(flight: Path, tmp_path: Path) -> None:
+    """Image 20 is cut short inside the bag itself: its row is invalid, all others are as before."""
+    with BagReader(flight) as source, BagWriter(tmp_path / "damaged") as bag:
+        images = 0
+        for topic, kind, log_time_ns, data in source.raw_messages():
+            images += topic == "/camera/image_raw"
+            cut = topic == "/camera/image_raw" and images == 21
+            bag.add_topic(topic, kind, transient_local=topic == "/tf_static")
+            bag.write(topic, log_time_ns, data[:1000] if cut else data)
+    regions, calibration = flight / "regions.yaml", flight / "calibration.yaml"
+    options = ("--regions", regions, "--calibration", calibration)
+    assert rgbd_dic("process", tmp_path / "damaged", *options, "--out", tmp_path / "out").returncode == 0
+    assert rgbd_dic("process", flight, "--out", tmp_path / "whole").returncode == 0
+    damaged, whole = rows(tmp_path / "out"), rows(tmp_path / "whole")
+    assert damaged[20]["valid"] == "0" and "cannot be read" in damaged[20]["reason"]
+    for mine, theirs in zip(damaged[:20] + damaged[21:], whole[:20] + whole[21:], strict=True):
+        assert mine["valid"] == "1" and float(mine["opening_mm"]) == pytest.approx(
+            float(theirs["opening_mm"]), abs=1e-4
+        )
 
 
 def test_nan_depth(edited, tmp_path: Path) -> None:

@@ -39,6 +39,7 @@ COLUMNS = {
     "latency_s": ("s", "from the arrival of the image at `dic_node` to the publishing of its opening", "offline"),
     "valid": ("", "1 or 0", "never"),
     "reason": ("", "why it is not valid: a status of `FrameStatus.msg`, a colon, and words", "valid (empty)"),
+    "reference_stamp_ns": ("ns", "stamp of the reference that the row counts from; 0 if there was none yet", "never"),
 }
 
 

@@ -90,12 +90,23 @@ class BagReader:
         """
         for topic, typename, log_time_ns, data in self.raw_messages(topics):
             try:
-                message = self._reader.deserialize(data, typename)
-            except Exception as error:  # damaged bytes raise almost anything
-                raise BagError(
-                    f"{self.path}: message of {topic} at {log_time_ns} ns cannot be read: {error}"
-                ) from error
+                message = self.deserialise(typename, data)
+            except BagError as error:
+                raise BagError(f"{self.path}: {topic} at {log_time_ns} ns: {error}") from error
             yield topic, log_time_ns, message
+
+    def deserialise(self, typename: str, data: bytes) -> Any:
+        """The message of CDR bytes.
+
+        Raises:
+            BagError: the bytes are not such a message.
+        """
+        try:
+            return self._reader.deserialize(data, typename)
+        except Exception as error:  # damaged bytes raise almost anything
+            raise BagError(
+                f"a {typename} of {len(data)} bytes cannot be read: {str(error) or type(error).__name__}"
+            ) from error
 
     def raw_messages(self, topics: Collection[str] | None = None) -> Iterator[tuple[str, str, int, bytes]]:
         """(topic, typename, log_time_ns, CDR bytes) of these topics, or of all, in the order of log time."""

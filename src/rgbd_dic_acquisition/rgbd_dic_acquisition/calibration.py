@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -120,6 +121,11 @@ class Camera:
         k1, k2 = [*d, 0.0, 0.0][:2]
         return cls(int(info.width), int(info.height), k[0], k[4], k[2], k[5], k1, k2)
 
+    def agrees_with(self, other: Camera) -> bool:
+        """Whether the other camera has the same numbers, to a millionth."""
+        mine, theirs = (np.array([*dataclasses.astuple(camera)], float) for camera in (self, other))
+        return bool(np.allclose(mine, theirs, rtol=1e-6, atol=1e-6))
+
     def scaled_to(self, width: int, height: int) -> Camera:
         """The same lens with another number of pixels (pixel centres at whole numbers)."""
         sx, sy = width / self.width, height / self.height
@@ -136,7 +142,10 @@ class Camera:
 
 @dataclass(frozen=True)
 class Calibration:
-    """Both sensors and X_camera = R_camera_tof X_tof + t_camera_tof [m]. `tof` is None for recordings without one."""
+    """Both sensors and X_camera = R_camera_tof X_tof + t_camera_tof [m].
+
+    `tof` is None where the depth comes as point clouds, which need the extrinsics alone, or not at all.
+    """
 
     camera: Camera
     tof: Camera | None = None
@@ -180,12 +189,13 @@ def load_calibration(path: Path | str) -> Calibration:
         raise CalibrationError(f"{path}: needs an entry 'camera' (see docs/files.md)")
     try:
         camera = _camera_from(content["camera"])
-        if not content.get("tof"):
+        tof = _camera_from(content["tof"]) if content.get("tof") else None
+        if tof is None and "T_camera_tof" not in content:
             return Calibration(camera)
         extrinsics = content["T_camera_tof"]
         return Calibration(
             camera,
-            _camera_from(content["tof"]),
+            tof,
             _orthonormal(np.array(extrinsics["rotation"], float)),
             np.array(extrinsics["translation_m"], float),
         )
@@ -200,6 +210,7 @@ def save_calibration(calibration: Calibration, path: Path | str) -> None:
     content: dict[str, Any] = {"camera": _camera_to(calibration.camera)}
     if calibration.tof is not None:
         content["tof"] = _camera_to(calibration.tof)
+    if calibration.tof is not None or not np.array_equal(calibration.R_camera_tof, np.eye(3)):
         content["T_camera_tof"] = {
             "rotation": np.asarray(calibration.R_camera_tof, float).tolist(),
             "translation_m": np.asarray(calibration.t_camera_tof, float).tolist(),

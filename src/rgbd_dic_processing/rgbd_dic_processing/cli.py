@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import signal
 import sys
 from collections.abc import Sequence
 
@@ -27,6 +28,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for module in (up, process, simulate, import_, report, info):
         module.add_parser(commands)
     options = parser.parse_args(arguments)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ended like Ctrl-C: nodes are stopped, results kept
     try:
         return options.run(options)
     except RgbdDicError as error:

@@ -31,7 +31,6 @@ TYPES = {
     "crack_opening": "rgbd_dic_msgs/msg/CrackOpening",
 }
 LATCHED = {"reference"}
-SENSOR_TOPICS = tuple(list(TYPES)[:8])
 CAMERA_TOPICS = ("camera/image_raw", "camera/camera_info")
 TOF_TOPICS = (
     "tof/depth/image_raw",
@@ -39,6 +38,8 @@ TOF_TOPICS = (
     "tof/intensity/image_raw",
     "tof/confidence/image_raw",
 )
+
+SENSOR_TOPICS = (*CAMERA_TOPICS, *TOF_TOPICS, "tof/points", "imu/data")
 
 
 @dataclass(frozen=True)

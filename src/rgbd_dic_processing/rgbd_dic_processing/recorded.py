@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from rgbd_dic_acquisition.bag import BagReader
 from rgbd_dic_acquisition.calibration import Calibration, Camera, load_calibration
 from rgbd_dic_acquisition.errors import BagError, CalibrationError, ImageError
+from rgbd_dic_acquisition.in_flight import header_stamp_ns
 from rgbd_dic_acquisition.messages import (
     CAMERA_INFO,
     IMAGE,
@@ -17,7 +18,6 @@ from rgbd_dic_acquisition.messages import (
     depth_from_message,
     image_from_message,
     points_from_message,
-    stamp_to_ns,
 )
 from scipy.spatial.transform import Rotation
 
@@ -56,16 +56,33 @@ def calibration_of(bag: BagReader, path: Path | None) -> Calibration:
     """
     if path is not None:
         return load_calibration(path)
-    cameras, frames = [], []
-    for topic in (CAMERA_INFO_TOPIC, TOF_INFO_TOPIC):
-        name = bag.require(topic, CAMERA_INFO)
-        info = next((message for _, _, message in bag.messages([name])), None)
-        if info is None:
-            raise BagError(f"{bag.path}: topic {name} is empty: give a calibration.yaml with --calibration")
-        cameras.append(Camera.from_camera_info(info))
-        frames.append(info.header.frame_id)
-    R, t = _extrinsics(bag, *frames)
-    return Calibration(cameras[0], cameras[1], R, t)
+    camera, camera_frame = _camera_of(bag, CAMERA_INFO_TOPIC)
+    if has_clouds(bag):
+        cloud = next((message for _, _, message in bag.messages([bag.require(POINTS_TOPIC, POINT_CLOUD)])), None)
+        tof, tof_frame = None, cloud.header.frame_id if cloud is not None else ""
+    else:
+        tof, tof_frame = _camera_of(bag, TOF_INFO_TOPIC)
+    return Calibration(camera, tof, *_extrinsics(bag, camera_frame, tof_frame))
+
+
+def calibration_warning(bag: BagReader, calibration: Calibration) -> str:
+    """What a user should know about a calibration that differs from the bag's camera_info; empty if it does not."""
+    try:
+        recorded, _ = _camera_of(bag, CAMERA_INFO_TOPIC)
+    except (BagError, CalibrationError):
+        return ""
+    return (
+        "" if recorded.agrees_with(calibration.camera) else "calibration differs from the bag's camera_info; it is used"
+    )
+
+
+def _camera_of(bag: BagReader, topic: str) -> tuple[Camera, str]:
+    """A camera and its frame, from the first message of a camera_info topic."""
+    name = bag.require(topic, CAMERA_INFO)
+    info = next((message for _, _, message in bag.messages([name])), None)
+    if info is None:
+        raise BagError(f"{bag.path}: topic {name} is empty: give a calibration.yaml with --calibration")
+    return Camera.from_camera_info(info), info.header.frame_id
 
 
 def _extrinsics(bag: BagReader, camera_frame: str, tof_frame: str) -> tuple[NDArray, NDArray]:
@@ -98,13 +115,13 @@ def measure_bag(bag: BagReader, pipeline: Pipeline) -> Iterator[list[Measurement
             ),
         )
     }
-    for topic, _, message in bag.messages(converters):
+    for topic, kind, _, data in bag.raw_messages(converters):
         convert, add = converters[topic]
         try:
-            content, reason = convert(message), ""
-        except ImageError as error:
+            content, reason = convert(bag.deserialise(kind, data)), ""
+        except (BagError, ImageError) as error:
             content, reason = None, str(error)
-        yield add(stamp_to_ns(message.header.stamp), content, reason)
+        yield add(header_stamp_ns(data), content, reason)
     yield pipeline.flush()
 
 

@@ -30,6 +30,7 @@ HEADER = (
     "latency_s",
     "valid",
     "reason",
+    "reference_stamp_ns",
 )
 
 
@@ -46,13 +47,14 @@ def row(opening: CrackOpening) -> list[str]:
     return [
         str(opening.stamp_ns),
         opening.method,
-        *(f"{value * 1e3 + 0.0:.6f}" for value in lengths),
+        *(f"{value * 1e3:.6f}".replace("-0.000000", "0.000000") for value in lengths),
         str(opening.n_left),
         str(opening.n_right),
         f"{opening.depth_offset_s:.6f}",
         f"{opening.latency_s:.6f}",
         str(int(opening.valid)),
         reason,
+        str(opening.reference_stamp_ns),
     ]
 
 
@@ -87,7 +89,7 @@ def _opening(line: dict[str, str]) -> CrackOpening:
     metres = {name: float(line[f"{name}_mm"]) * 1e-3 for name in ("opening", "sliding", "out_of_plane", "magnitude")}
     return CrackOpening(
         int(line["stamp_ns"]),
-        0,
+        int(line["reference_stamp_ns"]),
         line["method"],
         FrameStatus.OK if line["valid"] == "1" else FrameStatus[status],
         reason,
@@ -151,8 +153,8 @@ class Comparison:
 def compare(openings: Sequence[CrackOpening], truth: Truth) -> list[Comparison]:
     """Each method's opening against the truth of the same stamps.
 
-    What is measured is the change since the reference, so the truth at the reference is subtracted; at the first row
-    where the reference's own stamp is not known (read from a CSV) or has no truth.
+    What is measured is the change since the reference, so the truth at the reference is subtracted, or, if there is
+    none of that stamp, at the first row.
     """
     index = {int(stamp): i for i, stamp in enumerate(truth.stamps_ns)}
     comparisons = []

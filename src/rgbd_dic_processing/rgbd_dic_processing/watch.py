@@ -14,6 +14,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rgbd_dic_acquisition.errors import RgbdDicError
 from rgbd_dic_acquisition.nodes.diagnostics import matched_subscriptions
+from rgbd_dic_acquisition.nodes.spinning import prepare_process
 
 from rgbd_dic_msgs.msg import CrackOpening as CrackOpeningMessage
 
@@ -35,7 +36,7 @@ class GraphWatch:
 
     def __init__(self, topics: dict[str, str], namespace: str, on_opening: Callable[[CrackOpening], None]):
         """topics: method -> topic of its openings."""
-        os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        prepare_process()
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         self.openings: list[CrackOpening] = []
         self.first_heard = self.last_heard = time.monotonic()

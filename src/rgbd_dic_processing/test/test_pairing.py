@@ -74,8 +74,8 @@ def test_equally_near_takes_the_earlier() -> None:
 class Field:
     """As much of a subset field as joining looks at."""
 
-    def __init__(self, stamp: int):
-        self.stamp_ns, self.reference_stamp_ns = stamp, 7
+    def __init__(self, stamp: int, status: FrameStatus = FrameStatus.OK):
+        self.stamp_ns, self.reference_stamp_ns, self.status = stamp, 7, status
 
 
 def test_join_gives_the_same_frames_for_any_order_of_arrival() -> None:
@@ -100,3 +100,14 @@ def test_join_gives_up_what_never_completes() -> None:
     assert [frame.field.stamp_ns for frame in left] == [1, 2]
     assert all(frame.pair is None and frame.plane is None for frame in left)
     assert [frame.field.stamp_ns for frame in join.flush()] == [3, 4, 5]
+
+
+def test_join_lets_what_cannot_be_measured_leave_at_once() -> None:
+    """In its turn, but without a pair: a bad image, or one whose stamp comes twice, may never get one."""
+    join = FrameJoin(10)
+    join.add_reference(7)
+    assert [f.field.stamp_ns for f in join.add_field(Field(1, FrameStatus.LOST))] == [1]
+    assert join.add_field(Field(2)) == []
+    assert join.add_field(Field(3, FrameStatus.BAD_IMAGE)) == []
+    left = join.add_pair(FramePair(2, None))
+    assert [(f.field.stamp_ns, f.pair is None) for f in left] == [(2, False), (3, True)]

@@ -186,3 +186,11 @@ def test_no_step_without_a_crack() -> None:
     step.add_view(1, np.eye(3))
     (estimate,) = step.add_depth(1, panel_depth(square_plane()))
     assert estimate.status == FrameStatus.OK and np.isnan([estimate.step_m, estimate.u_step_m]).all()
+
+
+def test_waiting_frames_are_bounded() -> None:
+    """ToF frames without any image: the oldest leave, so that memory does not grow."""
+    step = PanelPlane(Calibration(CAMERA, TOF), REGIONS, PlaneSettings())
+    left = [estimate for stamp in range(100) for estimate in step.add_depth(stamp, panel_depth(square_plane()))]
+    assert [estimate.stamp_ns for estimate in left] == list(range(100 - 32))
+    assert all(estimate.status == FrameStatus.NO_PLANE for estimate in left)

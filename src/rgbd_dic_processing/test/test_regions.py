@@ -27,7 +27,7 @@ def test_zones_from_a_point_are_symmetric(angle: float, sign: int) -> None:
         assert away.min() == pytest.approx(8) and away.max() == pytest.approx(38)
         assert beside.min() == pytest.approx(-25) and beside.max() == pytest.approx(25)
     assert abs(zones.direction @ along) == pytest.approx(1)
-    assert normal[0] > 0 or (abs(normal[0]) < 1e-9 and normal[1] > 0)  # right is right, or below
+    assert normal[np.argmax(np.abs(normal))] > 0  # right is right, or below for a crack that is rather level
 
 
 def test_rectangles_keep_their_names() -> None:

@@ -64,7 +64,7 @@ def field(k, method="h_pose"):
     return DisplacementField(
         stamp(k), START, method, FrameStatus.OK, "", 0.004, 9, CENTRES.astype(np.float32),
         CENTRES * 1e-3, moved, np.full(moved.shape, 1e-6, np.float32), np.zeros((0, 3, 6)), np.zeros((0, 2, 3)),
-        1e-3, np.nan,
+        1e-3, np.nan, 0.01,
     )  # fmt: skip
 
 

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 from rgbd_dic_acquisition.calibration import Camera
-from rgbd_dic_acquisition.errors import RegionsError
+from rgbd_dic_acquisition.errors import MeasurementError, RegionsError
 from rgbd_dic_processing.core.correlation import CorrelationSettings
 from rgbd_dic_processing.core.regions import Regions
 from rgbd_dic_processing.core.search import SeedSource
@@ -141,6 +141,49 @@ def test_new_reference() -> None:
     steps.renew_reference()
     field = steps.track(SECOND, view(turned(2, (5, 5))))
     assert field.reference_stamp_ns == SECOND and field.seed_source == SeedSource.REFERENCE
+
+
+def test_new_reference_is_refused_where_the_regions_would_not_fit() -> None:
+    steps = tracking()
+    steps.track(SECOND, view(turned(0, (12, 0))))
+    with pytest.raises(MeasurementError, match="moved by 12 px"):
+        steps.renew_reference()
+    assert steps.reference is not None
+
+
+@pytest.mark.parametrize("first", [np.zeros((480, 640), np.uint8), np.full((480, 640), 255, np.uint8)])
+def test_an_image_without_texture_is_no_reference(first: np.ndarray) -> None:
+    """A black or a blinded first image: it says so, and the next good image becomes the reference."""
+    steps = SubsetTracking(CAMERA, REGIONS, CorrelationSettings(), SearchSettings())
+    refused = steps.track(0, first)
+    assert refused.status == FrameStatus.BAD_IMAGE and "have texture" in refused.reason
+    field = steps.track(SECOND, view(np.eye(3)))
+    assert field.status == FrameStatus.OK and field.reference_stamp_ns == SECOND
+
+
+def test_half_a_panel_without_speckle_is_followed_on_the_other_half() -> None:
+    def half_blank(H: np.ndarray) -> np.ndarray:
+        image = view(H)
+        image[:, 300:] = 120
+        return image
+
+    steps = SubsetTracking(CAMERA, REGIONS, CorrelationSettings(), SearchSettings())
+    steps.track(0, half_blank(np.eye(3)))
+    H = turned(0.5, (-3, 2))
+    field = steps.track(SECOND // 60, half_blank(H))
+    left = steps.reference.centres_px[:, 0] < 270
+    assert field.status == FrameStatus.OK and (field.subset_status[left] == 0).all()
+    # the border of the blank half stands still in the image, so only subsets well away from it are compared
+    expected = np.column_stack([steps.reference.centres_px, np.ones(len(left))]) @ H.T
+    assert np.abs(field.moved_px - expected[:, :2])[left].max() < 0.02
+
+
+@pytest.mark.parametrize("stamp", [SECOND, SECOND // 2])
+def test_stamps_must_increase(stamp: int) -> None:
+    steps = tracking()
+    steps.track(SECOND, view(np.eye(3)))
+    field = steps.track(stamp, view(np.eye(3)))
+    assert field.status == FrameStatus.BAD_IMAGE and "not later" in field.reason
 
 
 def test_bad_images_say_why_and_change_nothing() -> None:

@@ -7,13 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from rgbd_dic_acquisition.calibration import Camera
-from rgbd_dic_processing.core.crack import CrackMeasurement
+from rgbd_dic_processing.core.crack import CrackMeasurement, CrackOpening
 from rgbd_dic_processing.core.displacement import SOLVERS, DisplacementMeasurement
 from rgbd_dic_processing.core.geometry import Plane
+from rgbd_dic_processing.core.plane import PlaneEstimate
+from rgbd_dic_processing.core.regions import Regions
 from rgbd_dic_processing.core.settings import CompensationSettings, CrackSettings
 from rgbd_dic_processing.core.status import FrameStatus
+from rgbd_dic_processing.core.tracking import SubsetField
 from rgbd_dic_processing.core.uncertainty import independent_modes, overlap_correlation, quadratic_terms
 from scenes import SUBSET, ExactScene, pair, pose
+from scipy.spatial.transform import Rotation
 
 CAMERA = Camera(640, 480, 820.0, 820.0, 319.5, 239.5)
 SCENE = ExactScene(CAMERA, *pose((3, -5, 2), (0.0, 0.0, 1.0)))
@@ -128,3 +132,97 @@ def test_fixed_region_that_holds_the_crack_is_refused_by_h_pose() -> None:
     step.add_plane(SCENE.estimate(2, *MOVED))
     (field,) = step.add_field(SCENE.field(2, *MOVED, np.array([5e-3, 0, 0])))
     assert field.status == FrameStatus.NOT_COMPENSATED and "unlike a rigid plane" in field.reason
+
+
+def measured(steps: DisplacementMeasurement, field: SubsetField, planes: list[PlaneEstimate]) -> list[CrackOpening]:
+    """The same field as one frame for each of these planes of its ToF frame."""
+    crack = CrackMeasurement(CAMERA, SCENE.regions.crack, CrackSettings())
+    openings = []
+    for index, plane in enumerate(planes):
+        stamp = 10 + index
+        steps.add_pair(pair(stamp))
+        steps.add_plane(replace(plane, stamp_ns=stamp))
+        openings += [crack.measure(f) for f in steps.add_field(replace(field, stamp_ns=stamp))]
+    return openings
+
+
+def started(method: str = "h_pose", regions: Regions = SCENE.regions) -> DisplacementMeasurement:
+    """With its reference set."""
+    steps = DisplacementMeasurement(CAMERA, regions, CompensationSettings(method=method))
+    steps.set_reference(SCENE.reference)
+    return steps
+
+
+def test_misfit_of_the_fixed_region_makes_the_opening_less_certain() -> None:
+    """Noise five times what the DIC states, both zones inside the fixed region: the stated uncertainty follows."""
+    random = np.random.default_rng(4)
+    whole = replace(SCENE, crack_x_m=1.0)  # nothing moves
+    regions = replace(SCENE.regions, fixed=())
+    exact = whole.field(2, *MOVED, np.zeros(3))
+    errors, stated = [], []
+    for _ in range(60):
+        steps = started(regions=regions)
+        noise = 5 * correlated_noise(random, SCENE.reference.centres_px)
+        noisy = replace(exact, moved_px=exact.moved_px + noise, sigma_px=np.full_like(exact.sigma_px, SIGMA_PX))
+        (opening,) = measured(steps, noisy, [SCENE.estimate(2, *MOVED)])
+        errors.append(opening.opening_m)
+        stated.append(opening.u_opening_m)
+    assert np.std(errors) / np.sqrt(np.mean(np.square(stated))) == pytest.approx(1, abs=0.3)
+
+
+def tilted(degrees: float) -> PlaneEstimate:
+    estimate = SCENE.estimate(2, *MOVED)
+    R = Rotation.from_euler("y", degrees, degrees=True).as_matrix()
+    return replace(estimate, plane=estimate.plane.moved(R, np.zeros(3)))
+
+
+@pytest.mark.parametrize("method", ["h_pose", "h_2d"])
+def test_one_bad_first_plane_is_outvoted(method: str) -> None:
+    steps = started(method)
+    exact = SCENE.field(2, *MOVED, np.array([1e-3, 0, 0]))
+    opening = measured(steps, exact, [tilted(10)] + 5 * [SCENE.estimate(2, *MOVED)])[-1]
+    assert opening.valid and opening.opening_m == pytest.approx(1e-3, abs=1e-6)
+
+
+@pytest.mark.parametrize("method", ["h_3d", "pc_3d"])
+def test_bad_plane_of_the_reference_is_refused_once_it_is_contradicted(method: str) -> None:
+    steps = started(method)
+    exact = SCENE.field(2, *MOVED, np.array([1e-3, 0, 0]))
+    opening = measured(steps, exact, [tilted(10)] + 5 * [SCENE.estimate(2, *MOVED)])[-1]
+    assert opening.status == FrameStatus.NOT_COMPENSATED and "contradicts" in opening.reason
+
+
+@pytest.mark.parametrize("degrees", [75, 80, -88])
+@pytest.mark.parametrize("method", SOLVERS)
+def test_absurd_planes_never_raise(method: str, degrees: float) -> None:
+    steps = started(method)
+    exact = SCENE.field(2, *MOVED, np.zeros(3))
+    openings = measured(steps, exact, [tilted(degrees)] + 4 * [SCENE.estimate(2, *MOVED)])
+    assert len(openings) == 5
+    assert all(o.valid or o.reason for o in openings)
+
+
+@pytest.mark.parametrize("method", SOLVERS)
+def test_one_subset_found_in_a_wrong_place_changes_nothing(method: str) -> None:
+    steps = started(method)
+    exact = SCENE.field(2, *MOVED, np.array([1e-3, 0, 0]))
+    in_left_zone = SCENE.regions.crack.members(SCENE.reference.centres_px.astype(float))[0][5]
+    moved = exact.moved_px.copy()
+    moved[in_left_zone] += (25, -10)
+    (opening,) = measured(steps, replace(exact, moved_px=moved), [SCENE.estimate(2, *MOVED)])
+    assert opening.valid, opening.reason
+    assert opening.opening_m == pytest.approx(1e-3, abs=3e-6)
+
+
+def test_out_of_plane_step_counts_from_the_reference_or_not_at_all() -> None:
+    exact, truth = SCENE.field(2, *MOVED, np.zeros(3)), SCENE.estimate(2, *MOVED)
+    planes = [replace(truth, step_m=step, u_step_m=1e-4) for step in (1e-3, 1.5e-3)]
+    late = measured(started("pc_3d"), exact, planes)
+    assert np.isnan([o.out_of_plane_m for o in late]).all()  # none of them belongs to the reference
+    steps = started("pc_3d")
+    steps.add_pair(pair(1))
+    steps.add_plane(replace(SCENE.estimate(1, SCENE.R, SCENE.t), step_m=2e-3, u_step_m=1e-4))
+    steps.add_field(SCENE.field(1, SCENE.R, SCENE.t, np.zeros(3)))
+    known = measured(steps, exact, planes)
+    assert [o.out_of_plane_m for o in known] == pytest.approx([-1e-3, -0.5e-3], abs=1e-9)
+    assert known[0].u_out_of_plane_m == pytest.approx(np.hypot(1e-4, 1e-4), rel=0.05)

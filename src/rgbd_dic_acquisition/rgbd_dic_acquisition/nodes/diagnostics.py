@@ -20,6 +20,7 @@ class WatchedPublisher:
 
     def __init__(self, publisher: Any) -> None:
         self._publisher = publisher
+        self.topic: str = publisher.topic_name
         self.sent = 0
         self._last_sent = float("nan")
         self._reported = (time.monotonic(), 0)
@@ -31,13 +32,13 @@ class WatchedPublisher:
         self._last_sent = time.monotonic()
 
     @property
-    def topic(self) -> str:
-        return self._publisher.topic_name
-
-    @property
     def matched(self) -> int:
         """How many subscriptions the publisher is connected to."""
         return self._publisher.get_subscription_count()
+
+    def destroy(self, node: Node) -> None:
+        """Take the publisher down; `sent` and `topic` remain."""
+        node.destroy_publisher(self._publisher)
 
     def report(self) -> list[KeyValue]:
         now = time.monotonic()
@@ -74,6 +75,10 @@ class Diagnostics:
         watched = WatchedPublisher(publisher)
         self._publishers.append(watched)
         return watched
+
+    def forget(self, watched: WatchedPublisher) -> None:
+        """Report no more on a publisher that is about to be destroyed."""
+        self._publishers.remove(watched)
 
     def count(self, name: str, n: int = 1) -> None:
         """Add to a counter, such as "received", "dropped" or "invalid"."""

@@ -56,6 +56,7 @@ class PlayedTopics:
         clock = node.create_publisher(Clock, f"/{CLOCK}", queue_depth)
         self._by_name[CLOCK] = diagnostics.watch(clock)
         self._clock_ns = bag.start_ns
+        self._node, self._diagnostics, self._clock_runs = node, diagnostics, True
 
     @property
     def in_bag(self) -> list[str]:
@@ -83,5 +84,12 @@ class PlayedTopics:
         self._by_bag_topic[bag_topic].publish(data)
 
     def publish_clock(self) -> None:
-        """Publish the time that the playing has reached."""
-        self._by_name[CLOCK].publish(Clock(clock=stamp_message(make, self._clock_ns)))
+        """Publish the time that the playing has reached; nothing after `end_clock`."""
+        if self._clock_runs:
+            self._by_name[CLOCK].publish(Clock(clock=stamp_message(make, self._clock_ns)))
+
+    def end_clock(self) -> None:
+        """Take /clock down: who follows it knows by that that no message will come any more."""
+        self._clock_runs = False
+        self._diagnostics.forget(self._by_name[CLOCK])
+        self._by_name[CLOCK].destroy(self._node)

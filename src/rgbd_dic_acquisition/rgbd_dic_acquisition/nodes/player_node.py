@@ -67,6 +67,7 @@ class PlayerNode(Node):
         yield from self._wait_for_connections()
         yield from self._pause(self._settings.start_delay_s)
         yield from self._play()
+        self._topics.end_clock()
         yield from self._answers.wait(0)
         yield from self._pause(self._settings.linger_s)
         for publisher in self._topics.publishers:

@@ -37,7 +37,7 @@ def run(node_factory: Callable[[], Node], args: Sequence[str] | None = None) -> 
     An RgbdDicError from any of these becomes one line on stderr and exit code 1; anything else is a bug and
     keeps its traceback.
     """
-    _prepare_process()
+    prepare_process()
     program = Path(sys.argv[0]).stem
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -86,7 +86,7 @@ def _close(node: Node, executor: Any) -> None:
         node.destroy_node()
 
 
-def _prepare_process() -> None:
+def prepare_process() -> None:
     """Defaults that the user's environment overrides, and an allocator that keeps the memory of images."""
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     try:

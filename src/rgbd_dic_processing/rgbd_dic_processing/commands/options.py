@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
 from rgbd_dic_acquisition.errors import RgbdDicError
@@ -33,15 +34,20 @@ def add_measurement(parser: argparse.ArgumentParser) -> None:
 
 
 def measurement_settings(options: argparse.Namespace) -> tuple[ProcessingSettings, tuple[str, ...]]:
-    """The settings, and the methods asked for."""
+    """The settings, with the first method asked for, and all of these methods."""
     settings = load_settings(options.settings)
-    if options.method is None:
-        return settings, (settings.compensation.method,)
-    names = tuple(SOLVERS) if options.method == "all" else tuple(options.method.split(","))
+    names = (settings.compensation.method,)
+    if options.method is not None:
+        names = _methods(options.method)
+    return replace(settings, compensation=replace(settings.compensation, method=names[0])), names
+
+
+def _methods(text: str) -> tuple[str, ...]:
+    names = tuple(SOLVERS) if text == "all" else tuple(text.split(","))
     unknown = [name for name in names if name not in SOLVERS]
     if unknown:
         raise RgbdDicError(f"--method {','.join(unknown)}: choose from {', '.join(SOLVERS)}, or all")
-    return settings, tuple(dict.fromkeys(names))
+    return tuple(dict.fromkeys(names))
 
 
 def beside(bag: Path, name: str) -> Path | None:

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from rgbd_dic_acquisition.bag import BagReader
+from rgbd_dic_acquisition.errors import BagError
 
 from ..core.pipeline import Pipeline
 from ..core.regions import load_regions
-from ..recorded import calibration_of, frame_count, measure_bag
+from ..recorded import calibration_of, calibration_warning, frame_count, measure_bag
 from ..results import read_truth
 from ..runs import MapSelection, Run
 from .options import add_measurement, beside, finish, measurement_settings, required_file
@@ -38,20 +40,30 @@ def run(options: argparse.Namespace) -> int:
     truth_path = options.truth or beside(options.bag, "truth.csv")
     if truth_path is not None:
         read_truth(truth_path)  # a malformed one is refused before the work, not after
-    selection, openings = MapSelection(), []
+    selection, openings, failure = MapSelection(), [], None
     with BagReader(options.bag) as bag:
-        pipeline = Pipeline(calibration_of(bag, calibration_path), regions, settings, methods)
+        calibration = calibration_of(bag, calibration_path)
+        if warning := calibration_warning(bag, calibration):
+            print(f"warning: {warning}", file=sys.stderr)
+        pipeline = Pipeline(calibration, regions, settings, methods)
         with progress(frame_count(bag), "frame") as bar:
-            for measurements in measure_bag(bag, pipeline):
-                for measurement in measurements:
-                    selection.add(measurement.field, measurement.opening)
-                    if measurement.opening is not None:
-                        openings.append(measurement.opening)
-                bar.update()
+            try:
+                for measurements in measure_bag(bag, pipeline):
+                    for measurement in measurements:
+                        selection.add(measurement.field, measurement.opening)
+                        if measurement.opening is not None:
+                            openings.append(measurement.opening)
+                    bar.update(min(1, bar.total - bar.n))
+            except BagError as error:  # what was measured before is kept
+                failure = error
     inputs = {
         "bag": str(options.bag),
         "regions": str(regions_path),
         "calibration": str(calibration_path or "in the bag"),
+        "methods": ", ".join(methods),
     }
     result = Run(openings, selection.maps(), pipeline.tracking.reference, inputs, settings.as_dict())
-    return finish(result, options.out, regions_path, calibration_path, truth_path)
+    code = finish(result, options.out, regions_path, calibration_path, truth_path)
+    if failure is not None:
+        raise failure
+    return code

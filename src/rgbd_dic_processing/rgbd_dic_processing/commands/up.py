@@ -46,7 +46,9 @@ def add_parser(commands: Any) -> None:
     source.add_argument("bag", type=Path, nargs="?", help="bag to play: a directory, or a .mcap file")
     source.add_argument("--simulated", action="store_true", help="run on the simulated camera and ToF sensor")
     add_measurement(parser)
-    parser.add_argument("--rate", type=float, default=1.0, help="speed of the bag (default: 1, as recorded)")
+    parser.add_argument(
+        "--rate", type=_above_zero, default=1.0, help="speed of the bag (default: 1, as recorded); above 0"
+    )
     parser.add_argument(
         "--as-fast-as-possible",
         action="store_true",
@@ -56,6 +58,13 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("--namespace", default="", help="pushed on all names (default: none)")
     parser.add_argument("--domain", type=int, help="ROS domain (default: ROS_DOMAIN_ID, else 0)")
     parser.set_defaults(run=run)
+
+
+def _above_zero(text: str) -> float:
+    value = float(text)
+    if not value > 0:
+        raise argparse.ArgumentTypeError("must be above 0; for the highest speed use --as-fast-as-possible")
+    return value
 
 
 def run(options: argparse.Namespace) -> int:
@@ -92,9 +101,20 @@ def run(options: argparse.Namespace) -> int:
         images, topics = None, ()
         nodes += simulated_sensors()
     nodes.append(recorder(output, tuple(dict.fromkeys((*topics, *all_topics(nodes))))))
-    openings, facts = _run_graph(options, nodes, topics, methods, images)
-    result = _collect(openings, output, settings, files, str(options.bag or "simulated sensors"), facts)
-    return finish(result, options.out, files.regions, files.calibration, truth_path)
+    openings, facts, failure = _run_graph(options, nodes, topics, methods, images)
+    if failure is not None and not openings:
+        raise failure
+    inputs = {
+        "bag": str(options.bag or "simulated sensors"),
+        "regions": str(files.regions),
+        "calibration": str(files.calibration),
+        "methods": ", ".join(methods),
+    }
+    result = _collect(openings, output, settings, inputs, facts)
+    code = finish(result, options.out, files.regions, files.calibration, truth_path)
+    if failure is not None:
+        raise failure
+    return code
 
 
 def _run_graph(
@@ -103,10 +123,11 @@ def _run_graph(
     topics: tuple[str, ...],
     methods: tuple[str, ...],
     images: int | None,
-) -> tuple[list[CrackOpening], dict[str, Any]]:
-    """Start the nodes, play or wait, end them; the openings and what was measured of the graph itself."""
+) -> tuple[list[CrackOpening], dict[str, Any], RgbdDicError | None]:
+    """Start the nodes, play or wait, end them; the openings, what was measured of the graph, and what it failed of."""
     from ..watch import GraphWatch
 
+    failure = None
     answers = {method: opening_topic(method, methods) for method in methods}
     with progress(images, "image") as bar:
 
@@ -147,11 +168,13 @@ def _run_graph(
                     while not _over(options, started):
                         processes.check()
                         watch.spin(0.1)
+                processes.check()
             except KeyboardInterrupt:
                 print("ending; what was measured is kept", file=sys.stderr)
-            processes.check()
+            except RgbdDicError as error:
+                failure = error
             took_s = watch.last_heard - watch.first_heard
-    return watch.openings, _facts(watch.openings, methods, images, took_s)
+    return watch.openings, _facts(watch.openings, methods, images, took_s), failure
 
 
 def _over(options: argparse.Namespace, started: float) -> bool:
@@ -179,8 +202,7 @@ def _collect(
     openings: list[CrackOpening],
     bag_path: Path,
     settings: ProcessingSettings,
-    files: GraphFiles,
-    source: str,
+    inputs: dict[str, str],
     facts: dict[str, Any],
 ) -> Run:
     """The run of a graph: its openings, and the maps and the reference from the recorded bag."""
@@ -196,5 +218,4 @@ def _collect(
             selection.add(field, by_frame.get((field.method, field.stamp_ns)))
         for _, _, message in bag.messages([n for n in bag.topics if n.endswith("/reference")]):
             reference = reference_from_message(message)
-    inputs = {"bag": source, "regions": str(files.regions), "calibration": str(files.calibration)}
     return Run(openings, selection.maps(), reference, inputs, settings.as_dict(), facts)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from rgbd_dic_acquisition.calibration import Camera
+from rgbd_dic_acquisition.errors import MeasurementError
 from scipy.sparse import csr_matrix
 
 from .displacement_field import DisplacementField
@@ -20,6 +21,8 @@ from .uncertainty import overlap_correlation, quadratic_terms
 
 Array = NDArray[np.float64]
 NAN3 = np.full(3, np.nan)
+AXES_POINTS = 60  # subsets that the map from pixels to the panel is fitted to; it is exact, so a few do
+OUTLIER = 6.0  # distance from its zone's median, in robust standard deviations, beyond which a subset is left out
 
 
 @dataclass(frozen=True)
@@ -71,7 +74,7 @@ class CrackMeasurement:
             return _invalid(field, field.status, field.reason)
         layout = self._zone_layout(field)
         found = np.isfinite(field.displacement_m[:, :2]).all(axis=1)
-        left, right = layout.left[found[layout.left]], layout.right[found[layout.right]]
+        left, right = (_steady(field, zone[found[zone]]) for zone in (layout.left, layout.right))
         for name, zone in (("left", left), ("right", right)):
             if len(zone) < self._settings.min_subsets:
                 return _invalid(
@@ -81,7 +84,10 @@ class CrackMeasurement:
                     len(left),
                     len(right),
                 )
-        axes = layout.crack_axes(self._camera, self._zones, field.position_m)
+        try:
+            axes = layout.crack_axes(self._camera, self._zones, field.position_m)
+        except MeasurementError as error:
+            return _invalid(field, FrameStatus.NOT_COMPENSATED, str(error), len(left), len(right))
         apart = field.displacement_m[right].mean(axis=0) - field.displacement_m[left].mean(axis=0)
         jump = np.append(axes @ apart[:2], apart[2])
         variance = self._variance(field, layout, axes, left, right) + (jump * field.scale_uncertainty) ** 2
@@ -149,11 +155,30 @@ class _ZoneLayout:
 
         The crack's direction in the raw reference image becomes one on the panel by the homography from ideal
         reference pixels to panel coordinates, taken where the direction was given.
+
+        Raises:
+            MeasurementError: if the subsets do not determine that homography.
         """
-        to_panel = fit_homography(camera.undistort(self.centres_px), position_m)
+        some = np.linspace(0, len(position_m) - 1, min(len(position_m), AXES_POINTS)).astype(int)
+        to_panel = fit_homography(camera.undistort(self.centres_px[some]), position_m[some])
+        if to_panel is None:
+            raise MeasurementError("the direction of the crack on the panel is undetermined: too few subsets")
         ends = apply_homography(to_panel, camera.undistort(zones.point + np.outer((-0.5, 0.5), zones.direction)))
         along = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
         return np.array([[along[1], -along[0]], [along[0], along[1]]])
+
+
+def _steady(field: DisplacementField, zone: NDArray[np.intp]) -> NDArray[np.intp]:
+    """The subsets of a zone without those that were found in a wrong place, far from all others.
+
+    The scale is the median distance from the median, or what the DIC states, if that is more: a deforming zone keeps
+    all of its subsets.
+    """
+    if len(zone) < 3:
+        return zone
+    away = np.abs(field.displacement_m[zone, :2] - np.median(field.displacement_m[zone, :2], axis=0))
+    scale = np.maximum(1.4826 * np.median(away, axis=0), field.sigma_m[zone, :2])
+    return zone[(away <= OUTLIER * scale).all(axis=1)]
 
 
 def _magnitude(jump: Array, variance: Array) -> tuple[float, float]:

@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 from rgbd_dic_acquisition.calibration import Camera
-from rgbd_dic_acquisition.errors import MeasurementError
+from rgbd_dic_acquisition.errors import RgbdDicError
 
 from .compensation import h_2d, h_3d, h_pose, pc_3d
 from .compensation.motion import FrameView
@@ -16,7 +16,7 @@ from .geometry import Plane
 from .joining import FrameJoin, JoinedFrame
 from .pairing import FramePair
 from .plane import PlaneEstimate, PlaneMotion
-from .reference_frame import ReferenceFrame
+from .reference_frame import NEEDS_PLANE_OF_FRAME, ReferenceFrame
 from .regions import Regions
 from .settings import CompensationSettings
 from .status import FrameStatus
@@ -28,7 +28,6 @@ SOLVERS = {
     "h_2d": h_2d.compensate,
     "pc_3d": pc_3d.compensate,
 }
-NEEDS_PLANE_OF_FRAME = ("h_3d", "pc_3d")
 
 
 class DisplacementMeasurement:
@@ -81,9 +80,8 @@ class DisplacementMeasurement:
         plane, no_plane = _plane_of(frame)
         if plane is not None:
             plane = self._plane_motion.at_image(plane, frame.plane.stamp_ns, frame.field.stamp_ns)
+            no_plane = base.take_in_plane(frame, plane, moved_px[fixed], sigma_px[fixed], fixed) or no_plane
         try:
-            if plane is not None:
-                base.take_in_plane(frame, plane, moved_px[fixed], sigma_px[fixed], fixed)
             reference_plane = base.plane_for(self._settings.method)
             if reference_plane is None:
                 why = no_plane[1] if no_plane else "its image was too far from it in time"
@@ -102,9 +100,9 @@ class DisplacementMeasurement:
                 frame.field.homography,
             )
             compensation = SOLVERS[self._settings.method](view, self._settings)
-        except (MeasurementError, np.linalg.LinAlgError) as error:
+            return base.displacement(frame, self._settings.method, view, compensation, reference_plane)
+        except (RgbdDicError, np.linalg.LinAlgError) as error:
             return invalid(FrameStatus.NOT_COMPENSATED, str(error))
-        return base.displacement(frame, self._settings.method, view, compensation, reference_plane)
 
 
 def _plane_of(frame: JoinedFrame) -> tuple[Plane | None, tuple[FrameStatus, str] | None]:
@@ -139,6 +137,7 @@ def _invalid(
         np.full((count, 3), np.nan, np.float32),
         np.zeros((0, 3, 6)),
         np.zeros((0, 2, 3)),
+        math.nan,
         math.nan,
         math.nan,
         frame.field.image_received_ns,

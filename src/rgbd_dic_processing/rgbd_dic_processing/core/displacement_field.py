@@ -25,6 +25,7 @@ class DisplacementField:
         error with the mean error of the left and the right measuring zone [m].
     scale_uncertainty: relative standard uncertainty of all lengths, from the distance of the reference plane.
     u_step_m: pc_3d: standard uncertainty of the step in z across the crack; else NaN.
+    residual_px: RMS reprojection error of the fixed region's subsets that agree with the estimated motion.
     """
 
     stamp_ns: int
@@ -42,4 +43,5 @@ class DisplacementField:
     zone_coupling: Array
     scale_uncertainty: float
     u_step_m: float
+    residual_px: float
     image_received_ns: int = field(default=0, compare=False)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from .pairing import FramePair
 from .plane import PlaneEstimate
+from .status import FrameStatus
 from .tracking import SubsetField
 
 
@@ -22,12 +23,14 @@ class JoinedFrame:
 class FrameJoin:
     """Frames leave in the order of their images, each when it is complete, whatever the order of arrival.
 
+    A frame whose image could not be measured waits for nothing, but for those before it.
+
     A frame that is still incomplete when more than `max_waiting` wait behind it leaves as it is.
     """
 
     def __init__(self, max_waiting: int):
         self._max_waiting = max_waiting
-        self._references: set[int] = {0}  # 0: a bad image that came before any reference
+        self._references: set[int] = set()
         self._fields: dict[int, SubsetField] = {}
         self._pairs: dict[int, FramePair] = {}
         self._planes: dict[int, PlaneEstimate] = {}
@@ -58,6 +61,9 @@ class FrameJoin:
         frames = []
         while self._fields:
             stamp = next(iter(self._fields))
+            if self._fields[stamp].status != FrameStatus.OK:
+                frames.append(JoinedFrame(self._fields.pop(stamp), None, None))
+                continue
             pair = self._pairs.get(stamp)
             plane = self._planes.get(pair.depth_stamp_ns) if pair and pair.depth_stamp_ns is not None else None
             paired = pair is not None and (pair.depth_stamp_ns is None or plane is not None)

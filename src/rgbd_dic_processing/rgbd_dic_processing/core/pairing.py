@@ -29,7 +29,8 @@ class FramePair:
 
 
 class FramePairing:
-    """Pairs stamps as they come. The decision depends on the stamps alone, never on when they arrived.
+    """Pairs stamps as they come. The decision depends on the stamps alone, as long as the ToF frames of a moment come
+    before the images of `max_offset_s + settle_s` later.
 
     An image is settled as soon as a ToF frame at or after it is known (then its nearest neighbour is), or once
     later images show that the ToF frame is missing. The earlier of two equally near frames wins.
@@ -42,7 +43,10 @@ class FramePairing:
         self._newest_image = -1
 
     def add_image(self, stamp_ns: int) -> list[FramePair]:
-        """An image came; returns the pairs that are settled now, in the order of the images."""
+        """An image came; returns the pairs that are settled now, in the order of the images.
+
+        An image that is not later than the one before it is never paired (the DIC refuses it too).
+        """
         if stamp_ns <= self._newest_image:
             return []
         self._images.append(stamp_ns)

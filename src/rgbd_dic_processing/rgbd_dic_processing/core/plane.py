@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 MSAC_POINTS = 1000  # points of the sample consensus; the fit after it takes all
 MSAC_TRIALS = 200
 LEAST_SIGMA_M = 1e-5  # no depth is believed to be better than this, not even a constant plane's
+MAX_WAITING = 32  # ToF frames that wait for the next image before the oldest is given up
 VIEW_LIMIT_S = 0.25  # a ToF frame farther than this from every image has no view to carry the panel region into
 
 
@@ -158,6 +159,9 @@ class PanelPlane:
         if points_m is not None:
             points_m = points_m[np.isfinite(points_m).all(axis=1)]
         self._waiting.append((stamp_ns, points_m, reason))
+        if len(self._waiting) > MAX_WAITING:
+            stamp_ns, _, _ = self._waiting.popleft()
+            return [PlaneEstimate(stamp_ns, FrameStatus.NO_PLANE, "no image came after it"), *self._settle()]
         return self._settle()
 
     def add_view(self, stamp_ns: int, homography: Array | None) -> list[PlaneEstimate]:

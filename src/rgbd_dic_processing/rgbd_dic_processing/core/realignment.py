@@ -39,11 +39,6 @@ class Realignment:
         """Points (N, 3) in the reference camera frame [m] -> panel frame (N, 3) [m]."""
         return points_m @ self.R_panel_camera.T
 
-    @property
-    def footprint_m(self) -> float:
-        """Length on the panel that one pixel covers when the panel is faced squarely, -d/f [m]."""
-        return -self.plane.d / np.sqrt(self.camera.fx * self.camera.fy)
-
 
 def realign_to_axis(camera: Camera, plane: Plane, axis_px: Array) -> Realignment:
     """From two points (2, 2) of the panel's x axis in the raw reference image [px]; y follows at 90 degrees."""

@@ -7,11 +7,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 from rgbd_dic_acquisition.calibration import Camera
+from rgbd_dic_acquisition.errors import MeasurementError
 
 from .compensation.motion import Compensation, FrameView
 from .displacement_field import DisplacementField
 from .geometry import Plane
 from .joining import JoinedFrame
+from .plane import PlaneEstimate
 from .realignment import Realignment, realign_to_axis, realign_to_principal_axes
 from .reference_plane import ReferencePlane
 from .regions import Regions
@@ -21,6 +23,7 @@ from .tracking import Reference
 from .uncertainty import overlap_correlation, quadratic_terms
 
 Array = NDArray[np.float64]
+NEEDS_PLANE_OF_FRAME = ("h_3d", "pc_3d")  # as in the thesis: from the ToF frames of the two images alone
 
 
 class ReferenceFrame:
@@ -37,30 +40,44 @@ class ReferenceFrame:
         self.fixed = regions.fixed_members(centres)
         self.zones = regions.crack.members(centres) if regions.crack is not None else ()
         self.right = regions.crack.beyond(centres) if regions.crack is not None else np.zeros(len(centres), bool)
-        self._first_step: tuple[float, float] | None = None
+        self._first_step: PlaneEstimate | None = None
         self.correlation = overlap_correlation(centres, reference.subset_size)
         self._planes = ReferencePlane(camera, settings.robust_sigmas)
 
     def take_in_plane(
         self, frame: JoinedFrame, plane: Plane, moved_px: Array, sigma_px: Array, fixed: NDArray[np.intp]
-    ) -> None:
+    ) -> tuple[FrameStatus, str] | None:
         """The plane of the frame's ToF frame, for the reference plane, if the two are near enough in time.
 
         Args:
             moved_px, sigma_px: (M, 2) of the found subsets of the fixed region, whose indices are `fixed` (M,).
 
-        Raises:
-            MeasurementError: if it cannot be carried back to the reference.
+        Returns:
+            Why it could not be carried back to the reference; None if it could, or was not needed.
         """
         near = abs(frame.pair.depth_offset_s) <= self.settings.carry_offset_s or self._planes.first is None
         if near and not self._planes.knows(frame.plane.stamp_ns):
-            self._planes.add(
-                frame.plane.stamp_ns, plane, self.ideal_px[fixed], moved_px, sigma_px, frame.field.homography
-            )
+            try:
+                self._planes.add(
+                    frame.plane.stamp_ns, plane, self.ideal_px[fixed], moved_px, sigma_px, frame.field.homography
+                )
+            except (MeasurementError, np.linalg.LinAlgError) as error:
+                return FrameStatus.NO_PLANE, f"the plane of its ToF frame does not fit the motion ({error})"
+        return None
 
     def plane_for(self, method: str) -> Plane | None:
-        """The reference plane that a method works with; None if none is known yet."""
-        return self._planes.mean if method == "h_pose" else self._planes.first
+        """The reference plane that a method works with; None if none is known yet.
+
+        Raises:
+            MeasurementError: if the method takes the plane of the first ToF frame and later ones contradict it.
+        """
+        if method not in NEEDS_PLANE_OF_FRAME:
+            return self._planes.mean
+        if not self._planes.first_agrees:
+            raise MeasurementError(
+                "the plane of the first ToF frame contradicts those of later ones: take a new reference"
+            )
+        return self._planes.first
 
     def displacement(
         self, frame: JoinedFrame, method: str, view: FrameView, compensation: Compensation, plane: Plane
@@ -78,7 +95,8 @@ class ReferenceFrame:
         displacement_m = moved - start
         displacement_m[self.right, 2] += step_m
         per_x, per_y = (now(view.moved_px + shift) - moved for shift in np.eye(2))
-        sigma = np.sqrt((per_x * view.sigma_px[:, :1]) ** 2 + (per_y * view.sigma_px[:, 1:]) ** 2)
+        sigma_px = compensation.misfit * view.sigma_px
+        sigma = np.sqrt((per_x * sigma_px[:, :1]) ** 2 + (per_y * sigma_px[:, 1:]) ** 2)
         pi_variance = plane.normal @ plane.inverse_depth_covariance() @ plane.normal
         return DisplacementField(
             frame.field.stamp_ns,
@@ -96,6 +114,7 @@ class ReferenceFrame:
             self._zone_coupling(compensation.coupling, per_x, per_y),
             float(-plane.d * np.sqrt(pi_variance)),
             u_step_m,
+            compensation.residual_px,
             frame.field.image_received_ns,
         )
 
@@ -105,20 +124,20 @@ class ReferenceFrame:
         return realign_to_principal_axes(self.camera, plane, self.ideal_px)
 
     def _step(self, frame: JoinedFrame, method: str) -> tuple[float, float]:
-        """Change of the step across the crack since the first ToF frame, and its uncertainty [m] (pc_3d).
+        """Change of the step across the crack since the reference's own ToF frame, and its uncertainty [m] (pc_3d).
 
-        All points of a frame lie on its one plane, so a step between the sides is not in them; it is added here.
+        All points of a frame lie on its one plane, so a step between the sides is not in them; it is added here. NaN if
+        the reference has no ToF frame with a step.
         """
         if method != "pc_3d" or frame.plane is None:
             return math.nan, math.nan
-        if self._first_step is None and not math.isnan(frame.plane.step_m):
-            self._first_step = frame.plane.step_m, frame.plane.u_step_m
-            self._first_stamp_ns = frame.plane.stamp_ns
+        if frame.field.stamp_ns == self.reference.stamp_ns:
+            self._first_step = frame.plane
         if self._first_step is None:
             return math.nan, math.nan
-        if frame.plane.stamp_ns == self._first_stamp_ns:
+        if frame.plane.stamp_ns == self._first_step.stamp_ns:
             return 0.0, 0.0
-        return frame.plane.step_m - self._first_step[0], math.hypot(frame.plane.u_step_m, self._first_step[1])
+        return frame.plane.step_m - self._first_step.step_m, math.hypot(frame.plane.u_step_m, self._first_step.u_step_m)
 
     def _zone_coupling(self, coupling: Array, per_x: Array, per_y: Array) -> Array:
         """The coupling (k, N, 2) [px], carried to panel displacements and averaged over the found subsets of a zone."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import deque
+
 import numpy as np
 from numpy.typing import NDArray
 from rgbd_dic_acquisition.calibration import Camera
@@ -13,21 +15,32 @@ from .geometry import Plane, pose_from_homography
 Array = NDArray[np.float64]
 
 
+REMEMBERED = 200  # planes that are averaged, the latest ones: ten seconds at 20 Hz
+OUTLIER = 4.0  # distance from the median, in units of what the planes scatter, beyond which one is left out
+CHI2_MEDIAN = 2.366  # median of chi^2 with three degrees of freedom
+
+
 class ReferencePlane:
     """Carries the plane of every ToF frame back to the reference along the camera's estimated motion.
 
     The motion back is the pose of the fixed region with the roles swapped: the frame's own plane is the known one, so
     the carried plane does not depend on an earlier estimate. Planes are averaged as pi = n / -d, weighted by their
-    inverse covariance; if they scatter more than that says, the mean is given the larger uncertainty.
+    inverse covariance, those far from the median left out; if they scatter more than their covariances say, the mean is
+    given the larger uncertainty.
+
+    Attributes:
+        first: the first plane, carried to the reference; None before.
+        mean: the average; None before the first.
+        first_agrees: whether the first plane is not one of those left out.
     """
 
     def __init__(self, camera: Camera, robust_sigmas: float):
         self._camera, self._robust_sigmas = camera, robust_sigmas
-        self._newest_ns, self._count = -1, 0
-        # sums of W, W pi and pi . W pi over the carried planes
-        self._weight, self._weighted, self._squared = np.zeros((3, 3)), np.zeros(3), 0.0
+        self._newest_ns = -1
+        self._carried: deque[tuple[Array, Array]] = deque(maxlen=REMEMBERED)
         self.first: Plane | None = None
         self.mean: Plane | None = None
+        self.first_agrees = True
 
     def knows(self, depth_stamp_ns: int) -> bool:
         """Whether the plane of this ToF frame, or of a later one, is in already."""
@@ -57,20 +70,30 @@ class ReferencePlane:
         carried = plane.moved(R, t)
         if carried.normal[2] <= 0 or carried.d >= 0:
             raise MeasurementError("a ToF plane, carried to the reference, lies behind the camera")
-        pi, weight = carried.inverse_depth, np.linalg.inv(carried.inverse_depth_covariance())
-        self._weight = self._weight + weight
-        self._weighted = self._weighted + weight @ pi
-        self._squared += float(pi @ weight @ pi)
-        self._newest_ns, self._count = depth_stamp_ns, self._count + 1
+        self._carried.append((carried.inverse_depth, np.linalg.inv(carried.inverse_depth_covariance())))
+        self._newest_ns = depth_stamp_ns
         if self.first is None:
             self.first = carried
-        self.mean = self._average()
+        self._average()
 
-    def _average(self) -> Plane:
-        covariance = np.linalg.inv(self._weight)
-        mean = covariance @ self._weighted
-        freedom = 3 * (self._count - 1)
+    def _average(self) -> None:
+        planes = np.array([pi for pi, _ in self._carried])
+        weights = np.array([weight for _, weight in self._carried])
+        median = np.median(planes, axis=0)
+        squared = _squared(planes - median, weights)
+        scatter = max(1.0, float(np.median(squared)) / CHI2_MEDIAN)
+        kept = squared <= OUTLIER**2 * scatter
+        covariance = np.linalg.inv(weights[kept].sum(axis=0))
+        mean = covariance @ np.einsum("nij,nj->i", weights[kept], planes[kept])
+        freedom = 3 * (np.sum(kept) - 1)
         if freedom:
-            chi2 = self._squared - mean @ self._weighted
-            covariance = covariance * max(1.0, chi2 / freedom)
-        return Plane.from_inverse_depth(mean, covariance)
+            covariance = covariance * max(1.0, float(_squared(planes[kept] - mean, weights[kept]).sum()) / freedom)
+        self.mean = Plane.from_inverse_depth(mean, covariance)
+        first = self.first.inverse_depth - median
+        weight = np.linalg.inv(self.first.inverse_depth_covariance())
+        self.first_agrees = bool(first @ weight @ first <= OUTLIER**2 * scatter)
+
+
+def _squared(differences: Array, weights: Array) -> Array:
+    """Squared length (n,) of each difference (n, 3) under its own weight (n, 3, 3)."""
+    return np.einsum("ni,nij,nj->n", differences, weights, differences)

@@ -247,9 +247,9 @@ def _numbers(value: Any, name: str, count: int) -> Array:
 
 
 def _oriented(direction: Array) -> Array:
-    """Unit vector along the crack such that the normal (its turn by -90 degrees) points to positive x, or, for a crack
-    along x, to positive y: 'left' is then the side that a reader calls left (or upper)."""
+    """Unit vector along the crack such that the normal (its turn by -90 degrees) points to the right, or down for a
+    crack that is more level than upright: 'left' is then the side that a reader calls left (or upper)."""
     unit = np.asarray(direction, float) / np.linalg.norm(direction)
     normal = np.array([unit[1], -unit[0]])
-    flip = normal[0] < -1e-12 or (abs(normal[0]) <= 1e-12 and normal[1] < 0)
-    return -unit if flip else unit
+    main = normal[0] if abs(normal[0]) >= abs(normal[1]) else normal[1]
+    return -unit if main < 0 else unit

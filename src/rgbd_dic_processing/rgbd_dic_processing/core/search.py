@@ -57,11 +57,13 @@ class SubsetSearch:
         maps: SeedMaps,
         camera: Camera,
         settings: SearchSettings,
+        textured: NDArray[np.bool_],
     ):
         self._subsets, self._maps, self._camera, self._settings = subsets, maps, camera, settings
         self._centres = subsets.centres_px.astype(float)
         self._ideal = camera.undistort(self._centres)
-        self._probes = _spread(self._centres, settings.probes)
+        usable = np.flatnonzero(textured)
+        self._probes = usable[_spread(self._centres[usable], settings.probes)]
         self._features = FeatureMatcher(image, self._centres, settings.features)
         self._around = cKDTree(self._centres).query_ball_point(self._centres, 1.5 * subsets.settings.step)
         self._missing_before, self._frames_missing = 0.0, 0
@@ -77,6 +79,12 @@ class SubsetSearch:
         guess = self._match_features(image, None)
         refined = self._confirm(target, guess) if guess is not None else None
         return refined, SeedSource.NONE if refined is None else SeedSource.FEATURES
+
+    def moved_px(self) -> float:
+        """How far the panel's subsets were, at most, from their places in the reference when they were last found."""
+        if not self._history:
+            return 0.0
+        return float(np.abs(apply_homography(self._history[-1][1], self._ideal) - self._ideal).max())
 
     def seeds(self, guess: Guess) -> Array:
         """The seed maps (N, 2, 6) of a guess."""
@@ -207,7 +215,7 @@ class SubsetSearch:
         return Guess(homography / homography[2, 2], np.median(away[near], axis=1))
 
 
-def _spread(centres_px: Array, count: int) -> NDArray[np.int32]:
+def _spread(centres_px: Array, count: int) -> NDArray[np.intp]:
     """Indices of about `count` subsets spread evenly over the grid."""
     low, extent = centres_px.min(axis=0), np.maximum(np.ptp(centres_px, axis=0), 1)
     columns = max(round(float(np.sqrt(count * extent[0] / extent[1]))), 1)
@@ -217,4 +225,4 @@ def _spread(centres_px: Array, count: int) -> NDArray[np.int32]:
     number = cell[:, 0] + columns * cell[:, 1]
     order = np.lexsort([middle, number])
     _, first = np.unique(number[order], return_index=True)
-    return np.sort(order[first]).astype(np.int32)
+    return np.sort(order[first])

@@ -132,6 +132,7 @@ class ProcessingSettings:
         return cls(**made)
 
     def as_dict(self) -> dict[str, dict[str, Any]]:
+        """Stage -> field -> value."""
         return {stage.name: getattr(self, stage.name).as_dict() for stage in fields(self)}
 
 

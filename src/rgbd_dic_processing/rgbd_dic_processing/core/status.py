@@ -14,4 +14,3 @@ class FrameStatus(IntEnum):
     NO_FIXED_REGION = 7
     NOT_COMPENSATED = 8
     EMPTY_ZONE = 9
-    NO_CAMERA_INFO = 10

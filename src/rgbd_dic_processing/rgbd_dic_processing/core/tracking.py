@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 from rgbd_dic_acquisition.calibration import Camera
+from rgbd_dic_acquisition.errors import MeasurementError
 
 from .correlation import CorrelationSettings, ReferenceSubsets, SubsetStatus
 from .geometry import SeedMaps
@@ -16,6 +17,8 @@ from .settings import SearchSettings
 from .status import FrameStatus
 
 Array = NDArray[np.float64]
+RENEWAL_PX = 5.0  # how far the view may have moved from the reference when a new one is taken with the same regions
+LEAST_TEXTURED = 0.25  # share of each region's subsets that must have texture in a reference
 UNKNOWN_HOMOGRAPHY = np.full((3, 3), np.nan)
 
 
@@ -64,10 +67,24 @@ class SubsetTracking:
     def __init__(self, camera: Camera, regions: Regions, correlation: CorrelationSettings, search: SearchSettings):
         self._camera, self._regions = camera, regions
         self._correlation, self._search_settings = correlation, search
+        self._newest_ns = -1
         self.reference: Reference | None = None
 
     def renew_reference(self) -> None:
-        """The next good image becomes the reference."""
+        """The next good image becomes the reference.
+
+        Raises:
+            MeasurementError: if the view has moved, so that the regions, which are pixels of the first reference, would
+                lie elsewhere on the panel.
+        """
+        if self.reference is None:
+            return
+        moved_px = self._search.moved_px()
+        if moved_px > RENEWAL_PX:
+            raise MeasurementError(
+                f"the view has moved by {moved_px:.0f} px since the reference (at most {RENEWAL_PX:g} px): the regions "
+                "are pixels of that image. Move back, or draw new regions and start again"
+            )
         self.reference = None
 
     def track(self, stamp_ns: int, image: NDArray[np.uint8] | None, reason: str = "") -> SubsetField:
@@ -86,10 +103,13 @@ class SubsetTracking:
             reason = (
                 f"image is {image.shape[1]} x {image.shape[0]} px, the calibrated camera has {size[1]} x {size[0]} px"
             )
+        if stamp_ns <= self._newest_ns:
+            reason = f"its stamp is not later than that of the image before it ({self._newest_ns} ns)"
+        self._newest_ns = max(self._newest_ns, stamp_ns)
+        if self.reference is None and image is not None and not reason:
+            reason = self._take_reference(stamp_ns, image)
         if image is None or reason:
             return self._nothing(stamp_ns, FrameStatus.BAD_IMAGE, reason)
-        if self.reference is None:
-            self._take_reference(stamp_ns, image)
         target = self._subsets.target(image)
         if stamp_ns == self.reference.stamp_ns:
             guess, source = Guess(np.eye(3), np.zeros(self.reference.centres_px.shape)), SeedSource.REFERENCE
@@ -114,14 +134,29 @@ class SubsetTracking:
             moved.status,
         )
 
-    def _take_reference(self, stamp_ns: int, image: NDArray[np.uint8]) -> None:
+    def _take_reference(self, stamp_ns: int, image: NDArray[np.uint8]) -> str:
+        """Make an image the reference; or say why it cannot be one."""
         size, step = self._correlation.subset_size, self._correlation.step
         self._regions.check(self._camera.width, self._camera.height, size, step)
         centres = self._regions.subset_centres(self._camera.width, self._camera.height, size, step)
-        self._subsets = ReferenceSubsets(image, centres, self._correlation)
+        centres = centres[np.isfinite(self._camera.undistort(centres)).all(axis=1)]
+        subsets = ReferenceSubsets(image, centres, self._correlation)
         maps = SeedMaps(self._camera, centres, reach_px=size / 2)
-        self._search = SubsetSearch(image, self._subsets, maps, self._camera, self._search_settings)
+        itself = subsets.correlate(subsets.target(image), maps.seeds(np.eye(3)))
+        named = [("panel", np.ones(len(centres), bool)), ("fixed region", self._regions.fixed_members(centres))]
+        if self._regions.crack is not None:
+            named += [
+                (f"{side} zone", np.isin(np.arange(len(centres)), zone))
+                for side, zone in zip(("left", "right"), self._regions.crack.members(centres), strict=True)
+            ]
+        for name, members in named:
+            textured = np.mean(itself.valid[members])
+            if textured < LEAST_TEXTURED:
+                return f"no reference: only {textured:.0%} of the {name}'s subsets have texture (light? focus?)"
+        self._subsets = subsets
+        self._search = SubsetSearch(image, subsets, maps, self._camera, self._search_settings, itself.valid)
         self.reference = Reference(stamp_ns, image, centres, size, step)
+        return ""
 
     def _nothing(self, stamp_ns: int, status: FrameStatus, reason: str) -> SubsetField:
         count = len(self.reference.centres_px) if self.reference else 0

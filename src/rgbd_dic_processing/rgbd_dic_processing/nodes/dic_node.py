@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from rclpy.node import Node
 from rgbd_dic_acquisition.calibration import Camera
-from rgbd_dic_acquisition.errors import ImageError
+from rgbd_dic_acquisition.errors import ImageError, MeasurementError
 from rgbd_dic_acquisition.messages import image_from_message, stamp_to_ns
 from rgbd_dic_acquisition.nodes.diagnostics import Diagnostics
 from rgbd_dic_acquisition.nodes.parameters import declare, declare_path
@@ -52,10 +52,13 @@ class DicNode(Node):
         self._tracking = SubsetTracking(camera, self._regions, *self._settings)
 
     def _set_reference(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        response.success = self._tracking is not None
-        if self._tracking is not None:
+        try:
+            if self._tracking is None:
+                raise MeasurementError("there is no calibration yet")
             self._tracking.renew_reference()
-        response.message = "the next image becomes the reference" if response.success else "no camera_info yet"
+            response.success, response.message = True, "the next good image becomes the reference"
+        except MeasurementError as error:
+            response.message = str(error)
         return response
 
     def _image(self, message: Image) -> None:

@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -61,7 +60,7 @@ class CameraInput:
         self._checked = True
         if self.camera is None:
             self._take(seen)
-        elif not np.allclose(seen.matrix, self.camera.matrix, atol=1e-6):
+        elif not seen.agrees_with(self.camera):
             self._diagnostics.count("camera_info that differs from calibration_file")
             self._node.get_logger().warning("camera/camera_info differs from calibration_file; the file is used")
 
@@ -71,12 +70,17 @@ class CameraInput:
 
 
 class IdleFlush:
-    """Calls `flush` once when nothing has come for a while: at the end of a bag, or when a sensor has stopped."""
+    """Calls `flush` once when a stream has ended, so that what still waits for more is settled.
+
+    A stream has ended when nothing has come for a while; in a replay, moreover, only when the player has taken down
+    /clock, as it does after its last message. A slow node that keeps the others idle does not end a replay.
+    """
 
     IDLE_S = 2.0
 
     def __init__(self, node: Node, flush: Callable[[], None]):
-        self._flush, self._last, self._pending = flush, 0.0, False
+        self._node, self._flush, self._last, self._pending = node, flush, 0.0, False
+        self._replay = node.get_parameter("use_sim_time").value
         self._timer = node.create_timer(0.25, self._check, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def touch(self) -> None:
@@ -84,6 +88,9 @@ class IdleFlush:
         self._last, self._pending = time.monotonic(), True
 
     def _check(self) -> None:
-        if self._pending and time.monotonic() - self._last > self.IDLE_S:
-            self._pending = False
-            self._flush()
+        if not self._pending or time.monotonic() - self._last < self.IDLE_S:
+            return
+        if self._replay and self._node.count_publishers("/clock"):
+            return
+        self._pending = False
+        self._flush()

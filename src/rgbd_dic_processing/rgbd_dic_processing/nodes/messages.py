@@ -165,6 +165,7 @@ def displacement_field_message(make: MessageFactory, field: DisplacementField) -
         zone_coupling=field.zone_coupling.ravel(),
         scale_uncertainty=float(field.scale_uncertainty),
         u_step=float(field.u_step_m),
+        residual=float(field.residual_px),
     )
 
 
@@ -185,6 +186,7 @@ def displacement_field_from_message(msg: Any) -> DisplacementField:
         _array(msg.zone_coupling).reshape(-1, 2, 3),
         float(msg.scale_uncertainty),
         float(msg.u_step),
+        float(msg.residual),
         stamp_to_ns(msg.image_received),
     )
 

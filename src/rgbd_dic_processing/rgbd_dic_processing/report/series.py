@@ -26,7 +26,6 @@ STATUS_WORDS = {
     FrameStatus.NO_FIXED_REGION: "fixed region not found",
     FrameStatus.NOT_COMPENSATED: "motion not removed",
     FrameStatus.EMPTY_ZONE: "measuring zone empty",
-    FrameStatus.NO_CAMERA_INFO: "camera not calibrated",
 }
 
 

@@ -11,7 +11,7 @@ from ..homography import fit_homography, target_jacobian
 from ..msac import msac
 from ..settings import CompensationSettings
 from ..uncertainty import linear_modes
-from .motion import Compensation, FrameView, HomographyMotion, reprojection_rms
+from .motion import Compensation, FrameView, HomographyMotion, misfit_of, reprojection_rms
 
 Array = NDArray[np.float64]
 
@@ -37,11 +37,14 @@ def compensate(view: FrameView, settings: CompensationSettings) -> Compensation:
         )
     used = view.fixed[inliers]
     motion = HomographyMotion(homography)
-    modes, coupling = _modes(homography, view, used)
-    return Compensation(motion, modes, coupling, reprojection_rms(motion, view, used))
+    _, misfit = misfit_of(view.moved_px[used] - motion.move(view.reference_px[used]), view.sigma_px[used])
+    modes, coupling = _modes(homography, view, used, misfit)
+    return Compensation(motion, modes, coupling, reprojection_rms(motion, view, used), misfit)
 
 
-def _modes(homography: Array, view: FrameView, used: NDArray[np.intp]) -> tuple[tuple[HomographyMotion, ...], Array]:
+def _modes(
+    homography: Array, view: FrameView, used: NDArray[np.intp], misfit: float
+) -> tuple[tuple[HomographyMotion, ...], Array]:
     """The homographies (1 + E) H, E each of the independent errors of the eight parameters; their coupling."""
     target = apply_homography(homography, view.reference_px[used])
     centre, spread = target.mean(axis=0), target.std()
@@ -49,7 +52,7 @@ def _modes(homography: Array, view: FrameView, used: NDArray[np.intp]) -> tuple[
     jacobian = spread * target_jacobian((target - centre) / spread)
     normal_matrix = np.einsum("pma,qma->pq", jacobian, jacobian)
     sensitivity = np.einsum("pq,qma->pma", np.linalg.inv(normal_matrix), jacobian)
-    modes, coupling = linear_modes(sensitivity, view.sigma_px, view.correlation, used)
+    modes, coupling = linear_modes(sensitivity, misfit * view.sigma_px, view.correlation, used)
     back = np.linalg.inv(normalise)
     moved = [back @ (np.eye(3) + np.append(mode, 0).reshape(3, 3)) @ normalise @ homography for mode in modes]
     return tuple(HomographyMotion(changed) for changed in moved), coupling

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from ..geometry import Plane, plane_homography, pose_from_homography, skew
 from ..settings import CompensationSettings
 from ..uncertainty import independent_modes, linear_modes
-from .motion import Compensation, FrameView, HomographyMotion, reprojection_rms
+from .motion import Compensation, FrameView, HomographyMotion, misfit_of, reprojection_rms
 
 Array = NDArray[np.float64]
 Pose = tuple[Array, Array]
@@ -35,8 +35,10 @@ def compensate(view: FrameView, settings: CompensationSettings) -> Compensation:
     start = pose_from_homography(view.camera, view.seed, view.reference_plane)
     pose, jacobian, weights, misfit = fit_pose(*data, view.reference_plane, start, settings.robust_sigmas)
     motion = HomographyMotion(plane_homography(view.camera, *pose, view.reference_plane))
-    residual_px = reprojection_rms(motion, view, fixed)
-    if residual_px > settings.inlier_px:
+    lengths, _ = misfit_of(view.moved_px[fixed] - motion.move(view.reference_px[fixed]), view.sigma_px[fixed])
+    agreeing = lengths <= 3 * settings.robust_sigmas * misfit
+    residual_px = reprojection_rms(motion, view, fixed[agreeing]) if agreeing.any() else np.inf
+    if residual_px > settings.inlier_px or agreeing.sum() < settings.min_subsets:
         raise MeasurementError(
             f"h_pose: the fixed region moves unlike a rigid plane (residual {residual_px:.2f} px RMS, "
             f"at most {settings.inlier_px:g} px): it may hold the crack, or the reference plane is wrong"
@@ -50,7 +52,7 @@ def compensate(view: FrameView, settings: CompensationSettings) -> Compensation:
         plane = Plane.from_inverse_depth(view.reference_plane.inverse_depth + mode)
         poses.append((fit_pose(*data, plane, pose, settings.robust_sigmas)[0], plane))
     modes = tuple(HomographyMotion(plane_homography(view.camera, *moved, plane)) for moved, plane in poses)
-    return Compensation(motion, modes, coupling, residual_px)
+    return Compensation(motion, modes, coupling, residual_px, misfit)
 
 
 def fit_pose(
@@ -89,16 +91,15 @@ def fit_pose(
             break
         residual = target_px - camera.project(moved)
         jacobian = _jacobian(focal, turned, moved)
-        normalised = np.linalg.norm(residual / sigma_px, axis=1) / np.sqrt(2)
-        misfit = max(1.0, float(np.median(normalised)) / 0.8326)  # median of a Rayleigh variable with sigma = 1/sqrt(2)
-        huber = np.minimum(1, robust_sigmas * misfit / np.maximum(normalised, 1e-12))
+        lengths, misfit = misfit_of(residual, sigma_px)
+        huber = np.minimum(1, robust_sigmas * misfit / np.maximum(lengths, 1e-12))
         weights = huber[:, None] / sigma_px**2
         weighted = jacobian * weights
         step = np.linalg.solve(np.einsum("pma,qma->pq", weighted, jacobian), np.einsum("pma,ma->p", weighted, residual))
         R, t = _displaced((R, t), step)
         if np.sqrt(np.mean(np.square(np.einsum("p,pma->ma", step, jacobian)))) < CONVERGED_PX:
             return (R, t), jacobian, weights, misfit
-    raise MeasurementError("h_pose: the pose of the fixed region did not converge")
+    raise MeasurementError("the pose of the fixed region did not converge")
 
 
 def _jacobian(focal: Array, turned: Array, moved: Array) -> Array:

@@ -96,16 +96,28 @@ class Compensation:
         `motion` has the variance sum (f(mode) - f(motion))^2 from the compensation.
     coupling: (k, N, 2), covariance of the first k modes' unit errors with the errors of the subsets' moved_px: these
         modes come from the DIC's noise. The other modes, from the planes, have none.
-    residual_px: RMS of the fixed region's reprojection error.
+    residual_px: RMS of the reprojection error of the fixed region's subsets that agree with the motion.
+    misfit: how many times larger than the DIC's uncertainty these errors are, at least 1; all uncertainties of the
+        frame's subsets grow by it.
     """
 
     motion: Motion
     modes: tuple[Motion, ...]
     coupling: Array
     residual_px: float
+    misfit: float = 1.0
 
 
 def reprojection_rms(motion: Motion, view: FrameView, used: NDArray[np.intp]) -> float:
     """RMS distance [px] between where the used subsets are and where the motion puts them."""
     error = view.moved_px[used] - motion.move(view.reference_px[used])
     return float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
+
+
+def misfit_of(residual_px: Array, sigma_px: Array) -> tuple[Array, float]:
+    """Lengths of residuals (M, 2) in units of their uncertainty (M,), and how many times larger they are than it says.
+
+    The median length of a normal residual in two dimensions is 1.1774 sigma (Rayleigh). At least 1.
+    """
+    lengths = np.linalg.norm(residual_px / sigma_px, axis=1)
+    return lengths, max(1.0, float(np.median(lengths)) / 1.1774)
