@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import ast
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
-from system import ROOT
+from system import ROOT, environment
 
 ROS = {
     "rclpy",
@@ -51,3 +53,17 @@ def test_acquisition_does_not_know_processing(path: Path) -> None:
 def test_core_does_not_know_nodes() -> None:
     for path in files(PROCESSING / "core"):
         assert ".nodes" not in path.read_text() and "from ..graph" not in path.read_text()
+
+
+def test_offline_tool_needs_no_ros(flight: Path, tmp_path: Path) -> None:
+    """`rgbd-dic process` where rclpy and the message packages cannot be imported."""
+    hidden = "; ".join(f"sys.modules['{name}'] = None" for name in sorted(ROS))
+    program = f"import sys; {hidden}; from rgbd_dic_processing.cli import main; sys.exit(main(sys.argv[1:]))"
+    done = subprocess.run(
+        [sys.executable, "-c", program, "process", flight, "--out", tmp_path / "out"],
+        capture_output=True,
+        text=True,
+        env=environment(),
+    )
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "out" / "crack_opening.csv").exists()

@@ -4,20 +4,15 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
-import time
-from collections import Counter
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from rgbd_dic_acquisition.bag import BagReader
 from rgbd_dic_acquisition.calibration import load_calibration
 from rgbd_dic_acquisition.errors import RgbdDicError
 
 from ..core.crack import CrackOpening
 from ..core.regions import load_regions
-from ..core.settings import ProcessingSettings
 from ..graph import (
     SENSOR_TOPICS,
     GraphFiles,
@@ -32,11 +27,12 @@ from ..graph import (
 from ..processes import GraphProcesses
 from ..recorded import check_topics, has_clouds
 from ..results import read_truth
-from ..runs import MapSelection, Run
 from .options import add_measurement, beside, finish, measurement_settings, required_file
 from .progress import progress
 
-QUIET_S = 5.0  # the graph has answered all it will when nothing was published for this long after the bag's end
+if TYPE_CHECKING:
+    from ..supervision import Outcome
+
 WINDOW = 16  # images under way; more than a missing ToF frame makes the pairing wait for
 
 
@@ -101,38 +97,41 @@ def run(options: argparse.Namespace) -> int:
         images, topics = None, ()
         nodes += simulated_sensors()
     nodes.append(recorder(output, tuple(dict.fromkeys((*topics, *all_topics(nodes))))))
-    openings, facts, failure = _run_graph(options, nodes, topics, methods, images)
-    if failure is not None and not openings:
-        raise failure
+    from ..supervision import collect  # ROS is imported only by what needs it
+
+    answers = {method: opening_topic(method, methods) for method in methods}
+    outcome = _run(options, nodes, topics, answers, images)
+    if outcome.failure is not None and not outcome.openings:
+        raise outcome.failure
     inputs = {
         "bag": str(options.bag or "simulated sensors"),
         "regions": str(files.regions),
         "calibration": str(files.calibration),
         "methods": ", ".join(methods),
     }
-    result = _collect(openings, output, settings, inputs, facts)
+    result = collect(outcome, output, settings, inputs)
     code = finish(result, options.out, files.regions, files.calibration, truth_path)
-    if failure is not None:
-        raise failure
+    if outcome.failure is not None:
+        raise outcome.failure
     return code
 
 
-def _run_graph(
+def _run(
     options: argparse.Namespace,
     nodes: list[NodeSpec],
     topics: tuple[str, ...],
-    methods: tuple[str, ...],
+    answers: dict[str, str],
     images: int | None,
-) -> tuple[list[CrackOpening], dict[str, Any], RgbdDicError | None]:
-    """Start the nodes, play or wait, end them; the openings, what was measured of the graph, and what it failed of."""
+) -> Outcome:
+    """Start the nodes and, on a bag, the player; show the openings as they come; end them."""
+    from ..supervision import supervise
     from ..watch import GraphWatch
 
-    failure = None
-    answers = {method: opening_topic(method, methods) for method in methods}
+    first = next(iter(answers))
     with progress(images, "image") as bar:
 
         def show(opening: CrackOpening) -> None:
-            if opening.method == methods[0]:
+            if opening.method == first:
                 bar.update()
                 value = f"{opening.opening_m * 1e3:+.3f} mm" if opening.valid else f"invalid: {opening.reason}"
                 bar.set_postfix_str(f"opening {value}", refresh=False)
@@ -144,78 +143,9 @@ def _run_graph(
             for node in nodes:
                 processes.start(node)
             watch.wait_until_connected(nodes, processes.check)
-            started = time.monotonic()
-            try:
-                if options.bag:
-                    fast = options.as_fast_as_possible
-                    spec = player(
-                        options.bag,
-                        topics,
-                        nodes,
-                        tuple(answers.values()) if fast else (),
-                        0.0 if fast else options.rate,
-                        WINDOW,
-                    )
-                    playing = processes.start(spec)
-                    while playing.poll() is None and not _over(options, started):
-                        processes.check()
-                        watch.spin(0.1)
-                    wanted = images * len(methods)
-                    while len(watch.openings) < wanted and time.monotonic() - watch.last_heard < QUIET_S:
-                        processes.check()
-                        watch.spin(0.1)
-                else:
-                    while not _over(options, started):
-                        processes.check()
-                        watch.spin(0.1)
-                processes.check()
-            except KeyboardInterrupt:
-                print("ending; what was measured is kept", file=sys.stderr)
-            except RgbdDicError as error:
-                failure = error
-            took_s = watch.last_heard - watch.first_heard
-    return watch.openings, _facts(watch.openings, methods, images, took_s), failure
-
-
-def _over(options: argparse.Namespace, started: float) -> bool:
-    return options.duration is not None and time.monotonic() - started > options.duration
-
-
-def _facts(openings: list[CrackOpening], methods: tuple[str, ...], images: int | None, took_s: float) -> dict[str, Any]:
-    """Images, frames lost, frame rate and latency of the first method."""
-    answered = Counter(opening.method for opening in openings)
-    facts: dict[str, Any] = {"images": images if images is not None else answered[methods[0]]}
-    if images is not None:
-        facts["frames lost"] = sum(images - answered[method] for method in methods)
-    if took_s > 0:
-        facts["frame rate [Hz]"] = round((answered[methods[0]] - 1) / took_s, 1)
-    latencies = [opening.latency_s for opening in openings if opening.method == methods[0]]
-    if latencies:
-        median, high = np.percentile(latencies, (50, 95))
-        facts["latency [ms]"] = (
-            f"{median * 1e3:.0f} median, {high * 1e3:.0f} at the 95th percentile, {max(latencies) * 1e3:.0f} at most"
-        )
-    return facts
-
-
-def _collect(
-    openings: list[CrackOpening],
-    bag_path: Path,
-    settings: ProcessingSettings,
-    inputs: dict[str, str],
-    facts: dict[str, Any],
-) -> Run:
-    """The run of a graph: its openings, and the maps and the reference from the recorded bag."""
-    from ..nodes.messages import displacement_field_from_message, reference_from_message
-
-    by_frame = {(opening.method, opening.stamp_ns): opening for opening in openings}
-    selection, reference = MapSelection(), None
-    with BagReader(bag_path) as bag:
-        facts["messages recorded"] = sum(topic.count for topic in bag.topics.values())
-        fields = [name for name, topic in bag.topics.items() if topic.type == "rgbd_dic_msgs/msg/DisplacementField"]
-        for _, _, message in bag.messages(fields):
-            field = displacement_field_from_message(message)
-            selection.add(field, by_frame.get((field.method, field.stamp_ns)))
-        for _, _, message in bag.messages([n for n in bag.topics if n.endswith("/reference")]):
-            reference = reference_from_message(message)
-    return Run(openings, selection.maps(), reference, inputs, settings.as_dict(), facts)
+            if not options.bag:
+                return supervise(watch, processes, answers, duration_s=options.duration)
+            fast = options.as_fast_as_possible
+            waited_for = tuple(answers.values()) if fast else ()
+            spec = player(options.bag, topics, nodes, waited_for, 0.0 if fast else options.rate, WINDOW)
+            return supervise(watch, processes, answers, processes.start(spec), images, options.duration)
