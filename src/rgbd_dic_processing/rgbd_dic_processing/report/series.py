@@ -34,8 +34,9 @@ class Series:
     """One method over the n frames of a run, ordered by time; NaN where a frame has no value.
 
     time_s: since the first frame of the run. opening_mm, u_mm: opening and its standard uncertainty (k = 1).
-    truth_mm: true opening since the reference. n_left, n_right: subsets used in each zone. offset_ms: from
-    the image to its ToF frame. latency_ms: from the arrival of the image to its opening. status: FrameStatus.
+    truth_mm: true opening since the reference. n_left, n_right: subsets used in each zone. offset_ms: stamp
+    of the image less that of its ToF frame. latency_ms: from the arrival of the image to its opening. status:
+    FrameStatus.
     """
 
     method: str
