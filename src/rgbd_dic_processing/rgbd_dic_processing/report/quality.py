@@ -38,7 +38,7 @@ def draw(methods: Sequence[Series], folder: Path) -> list[Picture]:
         )
     ]
     if _any_known(methods, "offset_ms"):
-        panels.append((1.4, "stamp of the image less that of its ToF frame (negative: the ToF frame is later)", _draw_offset))
+        panels.append((1.4, "stamp of the image less that of its ToF frame (negative: ToF later)", _draw_offset))
     if _any_known(methods, "u_mm"):
         panels.append((1.6, "standard uncertainty of the opening (k = 1), as stated", _draw_uncertainty))
         panels.append((1.4, "subsets used in each measuring zone", _draw_subsets))
