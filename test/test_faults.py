@@ -66,6 +66,15 @@ def test_ended_from_outside_leaves_no_node_and_keeps_the_results(tmp_path: Path,
         assert 1 <= len(list(csv.DictReader(file))) < 120
 
 
+def test_killed_with_no_chance_to_say_goodbye_leaves_no_node(tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    graph = start(out, 79, "--rate", "0.2")
+    wait_for(lambda: playing(out), "the player")
+    graph.kill()
+    graph.communicate()
+    wait_for(lambda: not processes_of(out), "the nodes to end", 20)
+
+
 def test_a_killed_node_is_named_and_what_was_measured_is_kept(tmp_path: Path) -> None:
     out = tmp_path / "run"
     graph = start(out, 76, "--rate", "0.2")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import signal
 import subprocess
@@ -15,6 +16,7 @@ from rgbd_dic_acquisition.errors import RgbdDicError
 from .graph import NodeSpec
 
 END_TIMEOUT_S = 10.0
+_PRCTL = getattr(ctypes.CDLL(None), "prctl", None)
 
 
 class GraphProcesses:
@@ -51,6 +53,7 @@ class GraphProcesses:
                 stdin=subprocess.DEVNULL,
                 env=_environment(),
                 start_new_session=True,
+                preexec_fn=_end_with_parent,
             )
         self._running[spec.node_name] = process
         return process
@@ -101,6 +104,13 @@ def _executable(spec: NodeSpec) -> Path:
     if not path.exists():
         raise RgbdDicError(f"{path} is missing: build the workspace again")
     return path
+
+
+def _end_with_parent() -> None:
+    """In the child: SIGINT when the parent is gone, even if it was killed (Linux; elsewhere nothing happens)."""
+    if _PRCTL is not None:
+        set_parent_death_signal = 1
+        _PRCTL(set_parent_death_signal, int(signal.SIGINT))
 
 
 def _environment() -> dict[str, str]:
