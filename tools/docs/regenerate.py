@@ -35,7 +35,11 @@ COLUMNS = {
     "u_opening_mm": ("mm", "standard uncertainty of `opening_mm`", "not valid"),
     "n_left": ("subsets", "used in the left zone", "never"),
     "n_right": ("subsets", "used in the right zone", "never"),
-    "depth_offset_s": ("s", "stamp of the image minus that of its ToF frame", "no ToF frame is near enough"),
+    "depth_offset_s": (
+        "s",
+        "stamp of the image minus that of its ToF frame",
+        "no ToF frame is near enough, or the image cannot be measured",
+    ),
     "latency_s": ("s", "from the arrival of the image at `dic_node` to the publishing of its opening", "offline"),
     "valid": ("", "1 or 0", "never"),
     "reason": ("", "why it is not valid: a status of `FrameStatus.msg`, a colon, and words", "valid (empty)"),

@@ -210,7 +210,8 @@ def save_calibration(calibration: Calibration, path: Path | str) -> None:
     content: dict[str, Any] = {"camera": _camera_to(calibration.camera)}
     if calibration.tof is not None:
         content["tof"] = _camera_to(calibration.tof)
-    if calibration.tof is not None or not np.array_equal(calibration.R_camera_tof, np.eye(3)):
+    moved = not np.array_equal(calibration.R_camera_tof, np.eye(3)) or np.any(calibration.t_camera_tof)
+    if calibration.tof is not None or moved:
         content["T_camera_tof"] = {
             "rotation": np.asarray(calibration.R_camera_tof, float).tolist(),
             "translation_m": np.asarray(calibration.t_camera_tof, float).tolist(),

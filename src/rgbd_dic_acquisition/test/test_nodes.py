@@ -233,15 +233,20 @@ def test_log_times_follow_the_clock_of_the_bag(processes, bag, tmp_path):
     assert max(delays_ms) < 100
 
 
+FLOW_CONTROL = {
+    "rate": 0.0,
+    "window": 4,
+    "acknowledge_topics": ["frame_pair rgbd_dic_msgs/msg/FramePair", "plane rgbd_dic_msgs/msg/PlaneStamped"],
+}
+
+
 def test_answers_hold_the_player_back_and_none_is_lost(processes, bag, tmp_path):
     report = tmp_path / "report.json"
     answering = processes.start(str(Path(__file__).with_name("answering_node.py")), str(report), "0.03", "0")
     player = processes.node(
         "player_node",
         bag=str(bag),
-        rate=0.0,
-        window=4,
-        acknowledge_topics=["frame_pair rgbd_dic_msgs/msg/FramePair", "plane rgbd_dic_msgs/msg/PlaneStamped"],
+        **FLOW_CONTROL,
         wait_for_matched=["camera/image_raw 1"],
         start_delay_s=0.5,
     )
@@ -260,9 +265,7 @@ def test_a_missing_answer_ends_the_player_with_its_name(processes, bag, tmp_path
     player = processes.node(
         "player_node",
         bag=str(bag),
-        rate=0.0,
-        window=4,
-        acknowledge_topics=["frame_pair rgbd_dic_msgs/msg/FramePair", "plane rgbd_dic_msgs/msg/PlaneStamped"],
+        **FLOW_CONTROL,
         acknowledge_timeout_s=1.0,
         wait_for_matched=["camera/image_raw 1"],
         start_delay_s=0.5,

@@ -207,3 +207,13 @@ def test_regions_that_do_not_fit_are_refused_at_the_first_image() -> None:
     steps = SubsetTracking(CAMERA, outside, CorrelationSettings(), SearchSettings())
     with pytest.raises(RegionsError, match="outside the image of 640 x 480 px"):
         steps.track(0, view(np.eye(3)))
+
+
+def test_a_region_beyond_the_lens_model_is_no_reference() -> None:
+    """Where the distortion folds back no pixel has a ray: a zone there has no subsets left, and that is said."""
+    folding = Camera(640, 480, 300.0, 300.0, 319.5, 239.5, -0.45)
+    corner = np.array([(560.0, 400), (630, 400), (630, 470), (560, 470)])
+    panel = np.array([(150.0, 110), (630, 110), (630, 470), (150, 470)])
+    steps = SubsetTracking(folding, Regions(panel, (corner,), None, None), CorrelationSettings(), SearchSettings())
+    field = steps.track(0, view(np.eye(3)))
+    assert field.status == FrameStatus.BAD_IMAGE and "0% of the fixed region's subsets" in field.reason

@@ -40,7 +40,7 @@ class ReferenceFrame:
         self.fixed = regions.fixed_members(centres)
         self.zones = regions.crack.members(centres) if regions.crack is not None else ()
         self.right = regions.crack.beyond(centres) if regions.crack is not None else np.zeros(len(centres), bool)
-        self._first_step: PlaneEstimate | None = None
+        self._step_at_reference: PlaneEstimate | None = None
         self.correlation = overlap_correlation(centres, reference.subset_size)
         self._planes = ReferencePlane(camera, settings.robust_sigmas)
 
@@ -132,12 +132,14 @@ class ReferenceFrame:
         if method != "pc_3d" or frame.plane is None:
             return math.nan, math.nan
         if frame.field.stamp_ns == self.reference.stamp_ns:
-            self._first_step = frame.plane
-        if self._first_step is None:
+            self._step_at_reference = frame.plane
+        if self._step_at_reference is None:
             return math.nan, math.nan
-        if frame.plane.stamp_ns == self._first_step.stamp_ns:
+        if frame.plane.stamp_ns == self._step_at_reference.stamp_ns:
             return 0.0, 0.0
-        return frame.plane.step_m - self._first_step.step_m, math.hypot(frame.plane.u_step_m, self._first_step.u_step_m)
+        return frame.plane.step_m - self._step_at_reference.step_m, math.hypot(
+            frame.plane.u_step_m, self._step_at_reference.u_step_m
+        )
 
     def _zone_coupling(self, coupling: Array, per_x: Array, per_y: Array) -> Array:
         """The coupling (k, N, 2) [px], carried to panel displacements and averaged over the found subsets of a zone."""

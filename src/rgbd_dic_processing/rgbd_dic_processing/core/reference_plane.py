@@ -1,4 +1,4 @@
-"""The panel's plane in the reference frame: of the first ToF frame, and averaged over all of them."""
+"""The panel's plane in the reference frame: of the first ToF frame, and averaged over the latest ones."""
 
 from __future__ import annotations
 
@@ -13,8 +13,6 @@ from .compensation.h_pose import fit_pose
 from .geometry import Plane, pose_from_homography
 
 Array = NDArray[np.float64]
-
-
 REMEMBERED = 200  # planes that are averaged, the latest ones: ten seconds at 20 Hz
 OUTLIER = 4.0  # distance from the median, in units of what the planes scatter, beyond which one is left out
 CHI2_MEDIAN = 2.366  # median of chi^2 with three degrees of freedom

@@ -68,6 +68,7 @@ class SubsetTracking:
         self._camera, self._regions = camera, regions
         self._correlation, self._search_settings = correlation, search
         self._newest_ns = -1
+        self._centres: NDArray[np.int32] | None = None
         self.reference: Reference | None = None
 
     def renew_reference(self) -> None:
@@ -137,9 +138,12 @@ class SubsetTracking:
     def _take_reference(self, stamp_ns: int, image: NDArray[np.uint8]) -> str:
         """Make an image the reference; or say why it cannot be one."""
         size, step = self._correlation.subset_size, self._correlation.step
-        self._regions.check(self._camera.width, self._camera.height, size, step)
-        centres = self._regions.subset_centres(self._camera.width, self._camera.height, size, step)
-        centres = centres[np.isfinite(self._camera.undistort(centres)).all(axis=1)]
+        if self._centres is None:
+            grid = (self._camera.width, self._camera.height, size, step)
+            self._regions.check(*grid)
+            centres = self._regions.subset_centres(*grid)
+            self._centres = centres[np.isfinite(self._camera.undistort(centres)).all(axis=1)]
+        centres = self._centres
         subsets = ReferenceSubsets(image, centres, self._correlation)
         maps = SeedMaps(self._camera, centres, reach_px=size / 2)
         itself = subsets.correlate(subsets.target(image), maps.seeds(np.eye(3)))
@@ -150,7 +154,7 @@ class SubsetTracking:
                 for side, zone in zip(("left", "right"), self._regions.crack.members(centres), strict=True)
             ]
         for name, members in named:
-            textured = np.mean(itself.valid[members])
+            textured = np.mean(itself.valid[members]) if members.any() else 0.0
             if textured < LEAST_TEXTURED:
                 return f"no reference: only {textured:.0%} of the {name}'s subsets have texture (light? focus?)"
         self._subsets = subsets
