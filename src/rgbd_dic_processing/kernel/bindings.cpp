@@ -14,6 +14,7 @@
 #include <vector>
 
 #include "icgn.hpp"
+#include "loops.hpp"
 #include "reference.hpp"
 #include "spline_image.hpp"
 
@@ -43,11 +44,11 @@ const Value* checked(const py::array& array, const char* name, const std::vector
   return static_cast<const Value*>(array.data());
 }
 
-PaddedImage to_image(const py::array& image) {
+Image to_image(const py::array& image) {
   constexpr const char* kExpected = "uint8 or float32 of shape (rows, cols)";
   if (py::isinstance<py::array_t<std::uint8_t>>(image)) {
     const auto* pixels = checked<std::uint8_t>(image, "image", {-1, -1}, kExpected);
-    return PaddedImage(pixels, image.shape(0), image.shape(1));
+    return Image(std::vector<std::uint8_t>(pixels, pixels + image.size()), image.shape(0), image.shape(1));
   }
   const auto* pixels = checked<float>(image, "image", {-1, -1}, kExpected);
   const py::ssize_t cols = image.shape(1);
@@ -55,27 +56,56 @@ PaddedImage to_image(const py::array& image) {
     if (!std::isfinite(pixels[i]))
       throw py::value_error("image: pixel (" + std::to_string(i % cols) + ", " + std::to_string(i / cols) +
                             ") is not a finite number");
-  return PaddedImage(pixels, image.shape(0), cols);
+  return Image(std::vector<float>(pixels, pixels + image.size()), image.shape(0), cols);
+}
+
+// The loops that what is made from now on will use.
+const Loops*& chosen_loops() {
+  static const Loops* chosen = available_loops().front();
+  return chosen;
+}
+
+std::vector<std::string> instruction_sets() {
+  std::vector<std::string> names;
+  for (const Loops* loops : available_loops()) names.emplace_back(loops->name);
+  return names;
+}
+
+void use_instruction_set(const std::string& name) {
+  std::string known;
+  for (const Loops* loops : available_loops()) {
+    if (name == loops->name) {
+      chosen_loops() = loops;
+      return;
+    }
+    known += (known.empty() ? "" : ", ") + std::string(loops->name);
+  }
+  throw py::value_error("instruction set '" + name + "': this processor has " + known);
 }
 
 std::unique_ptr<Reference> make_reference(const py::array& image, const py::array& centres, int subset_size,
-                                          int degree, int threads) {
-  PaddedImage pixels = to_image(image);
-  const auto* xy = checked<std::int32_t>(centres, "centres", {-1, 2}, "int32 of shape (N, 2)");
+                                          int degree, int order, double smoothing, int threads) {
+  const Image pixels = to_image(image);
+  const auto* xy = checked<double>(centres, "centres", {-1, 2}, "float64 of shape (N, 2)");
   const py::ssize_t count = centres.shape(0);
   const py::gil_scoped_release unlocked;
-  return std::make_unique<Reference>(std::move(pixels), xy, count, subset_size, degree,
+  return std::make_unique<Reference>(*chosen_loops(), pixels, xy, count,
+                                     SubsetModel{subset_size, degree, order, smoothing},
                                      resolve_threads(threads));
 }
 
-std::unique_ptr<SplineImage> make_target(const py::array& image, int degree, int threads) {
-  PaddedImage pixels = to_image(image);
-  const py::gil_scoped_release unlocked;
-  return std::make_unique<SplineImage>(std::move(pixels), degree, resolve_threads(threads));
+std::unique_ptr<SplineImage> make_target(const py::array& image, int degree) {
+  return std::make_unique<SplineImage>(*chosen_loops(), to_image(image), degree);
 }
 
-py::array_t<double> sample(const SplineImage& target, const py::array& points) {
+py::array_t<double> sample(SplineImage& target, const py::array& points) {
   const auto* xy = checked<double>(points, "points", {-1, 2}, "float64 of shape (M, 2)");
+  const auto coefficients = target.covering(target.whole(), 1);
+  const Loops& loops = target.loops();
+  const std::vector<float> weight(loops.width, 1.0f);
+  const Layout one = {0, 1, weight.data()};
+  SampleBuffer value(loops.width);
+  const auto function = target.degree() == 3 ? loops.sample_cubic : loops.sample_quintic;
   const double right = static_cast<double>(target.cols() - 1),
                bottom = static_cast<double>(target.rows() - 1);
   py::array_t<double> values(points.shape(0));
@@ -84,10 +114,10 @@ py::array_t<double> sample(const SplineImage& target, const py::array& points) {
     const double x = xy[2 * i], y = xy[2 * i + 1], x0 = std::floor(x), y0 = std::floor(y);
     out[i] = std::numeric_limits<double>::quiet_NaN();
     if (!(x >= 0.0 && x <= right && y >= 0.0 && y <= bottom)) continue;
-    const float dx = static_cast<float>(x - x0), dy = static_cast<float>(y - y0);
-    float value = 0.0f;
-    target.sample(static_cast<std::ptrdiff_t>(x0), static_cast<std::ptrdiff_t>(y0), &dx, &dy, 1, &value);
-    out[i] = value;
+    const LocalWarp warp = {{static_cast<float>(x - x0)}, {static_cast<float>(y - y0)}};
+    const auto around =
+        coefficients->around(static_cast<std::ptrdiff_t>(x0), static_cast<std::ptrdiff_t>(y0));
+    if (function(one, around, warp, value.data())) out[i] = value.data()[0];
   }
   return values;
 }
@@ -102,12 +132,15 @@ const std::int32_t* checked_indices(const std::optional<py::array>& indices, py:
   return values;
 }
 
-py::tuple correlate(const Reference& reference, const SplineImage& target, const py::array& seeds,
+py::tuple correlate(const Reference& reference, SplineImage& target, const py::array& seeds,
                     const std::optional<py::array>& indices, int max_iterations, double tolerance_px,
-                    double min_zncc, double min_contrast, double max_shift_px, int threads) {
-  if (reference.degree() != target.degree())
+                    double min_zncc, double min_contrast, double max_shift_px, double max_misfit_px,
+                    int threads) {
+  if (&reference.loops() != &target.loops())
+    throw py::value_error("the reference and the target were made for different instruction sets");
+  if (reference.model().degree != target.degree())
     throw py::value_error("the reference was made with B-spline degree " +
-                          std::to_string(reference.degree()) + ", the target with " +
+                          std::to_string(reference.model().degree) + ", the target with " +
                           std::to_string(target.degree()));
   if (max_iterations < 1 || max_iterations > 255)
     throw py::value_error("max_iterations = " + std::to_string(max_iterations) + ": must be 1 to 255");
@@ -136,7 +169,7 @@ py::tuple correlate(const Reference& reference, const SplineImage& target, const
   };
   {
     const py::gil_scoped_release unlocked;
-    const Limits limits{max_iterations, tolerance_px, min_zncc, min_contrast, max_shift_px};
+    const Limits limits{max_iterations, tolerance_px, min_zncc, min_contrast, max_shift_px, max_misfit_px};
     correlate_subsets(reference, target, selected, maps, count, limits, resolve_threads(threads), store);
   }
   return py::make_tuple(x, y, sigma_x, sigma_y, zncc, iterations, status);
@@ -151,24 +184,29 @@ PYBIND11_MODULE(_kernel, module) {
   module.doc() =
       "Subset-based digital image correlation by IC-GN; rgbd_dic_processing.core.correlation is its face.";
 
+  module.def("instruction_sets", &instruction_sets, "Those this processor has, the fastest first.");
+  module.def("use_instruction_set", &use_instruction_set, arg("name"),
+             "What is made from now on runs on this one; at first the fastest.");
+
   py::class_<Reference>(module, "Reference", "Subsets of a reference image, prepared once.")
       .def(py::init(&make_reference), arg("image"), arg("centres"), arg("subset_size"), arg("degree"),
-           arg("threads") = 1,
-           "image: uint8 or float32 (rows, cols); centres: int32 (N, 2), x y of the centre pixels; "
-           "subset_size: odd, px; degree of the B-spline: 3 or 5; threads: 0 for all cores.")
+           arg("order") = 1, arg("smoothing") = 0.0, arg("threads") = 1,
+           "image: uint8 or float32 (rows, cols); centres: float64 (N, 2), x y of the points to be followed; "
+           "subset_size: odd, px; degree of the B-spline: 3 or 5; order of the increment: 1 affine, 2 "
+           "quadratic; smoothing of the gradients, px; threads: 0 for all cores.")
       .def("__len__", &Reference::size);
 
-  py::class_<SplineImage>(module, "Target", "B-spline coefficients of an image that is searched.")
-      .def(py::init(&make_target), arg("image"), arg("degree"), arg("threads") = 1,
-           "image: uint8 or float32 (rows, cols); degree of the B-spline: 3 or 5; threads: 0 for all cores.")
+  py::class_<SplineImage>(module, "Target", "An image that is searched.")
+      .def(py::init(&make_target), arg("image"), arg("degree"),
+           "image: uint8 or float32 (rows, cols); degree of the B-spline: 3 or 5.")
       .def("sample", &sample, arg("points"),
            "Grey values, float64 (M,), at points, float64 (M, 2) x y in px; NaN outside the image.");
 
   module.def("correlate", &correlate, arg("reference"), arg("target"), arg("seeds"),
              arg("indices") = py::none(), arg("max_iterations") = 20, arg("tolerance_px") = 1e-4,
-             arg("min_zncc") = 0.8, arg("min_contrast") = 2.0, arg("max_shift_px") = 10.0, arg("threads") = 0,
+             arg("min_zncc") = 0.8, arg("min_contrast") = 2.0, arg("max_shift_px") = 10.0,
+             arg("max_misfit_px") = 0.02, arg("threads") = 0,
              "Correlates all subsets (M = N), or those of indices, int32 (M,), from seeds, float64 (N, 2, "
-             "6). Returns x, "
-             "y (float64, px), sigma_x, sigma_y (float32, px), zncc (float32), iterations, status (uint8), "
-             "each (M,).");
+             "6). Returns x, y (float64, px), sigma_x, sigma_y (float32, px), zncc (float32), iterations, "
+             "status (uint8), each (M,).");
 }

@@ -1,5 +1,4 @@
-// Interpolating uniform B-splines of degree 3 and 5 on an image: prefilter, samples, derivatives at the
-// knots.
+// Interpolating uniform B-splines of degree 3 and 5 on an image: prefilter, derivatives at the knots, noise.
 //
 // The image is continued by mirroring about its first and last pixels (period 2 n - 2). Coefficients and
 // samples are float32. Prefilter: M. Unser, A. Aldroubi, M. Eden, "B-spline signal processing", IEEE
@@ -7,6 +6,7 @@
 #pragma once
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstddef>
 #include <stdexcept>
@@ -14,7 +14,7 @@
 #include <utility>
 #include <vector>
 
-#include "clones.hpp"
+#include "loops.hpp"
 #include "padded_image.hpp"
 #include "threads.hpp"
 
@@ -40,90 +40,21 @@ struct SplineDegree {
     throw std::invalid_argument("degree = " + std::to_string(degree) +
                                 ": the B-spline degree must be 3 or 5");
   }
+
+  // Pixels beyond which a coefficient does not feel a change, in float32.
+  int reach() const { return static_cast<int>(std::ceil(std::log(1e-9) / std::log(std::fabs(poles[0])))); }
 };
 
-// The polynomial pieces of the basis: tap k of a sample at fraction t weighs sum over d of kPieces[d][k] t^d.
-// The first tap is the pixel floor(x) - (degree - 1) / 2.
-template <int degree>
-struct SplinePieces;
-
-template <>
-struct SplinePieces<3> {
-  static constexpr float kPieces[4][4] = {{1.f / 6, 4.f / 6, 1.f / 6, 0.f},
-                                          {-3.f / 6, 0.f, 3.f / 6, 0.f},
-                                          {3.f / 6, -6.f / 6, 3.f / 6, 0.f},
-                                          {-1.f / 6, 3.f / 6, -3.f / 6, 1.f / 6}};
-};
-
-template <>
-struct SplinePieces<5> {
-  static constexpr float kPieces[6][6] = {
-      {1.f / 120, 26.f / 120, 66.f / 120, 26.f / 120, 1.f / 120, 0.f},
-      {-5.f / 120, -50.f / 120, 0.f, 50.f / 120, 5.f / 120, 0.f},
-      {10.f / 120, 20.f / 120, -60.f / 120, 20.f / 120, 10.f / 120, 0.f},
-      {-10.f / 120, 20.f / 120, 0.f, -20.f / 120, 10.f / 120, 0.f},
-      {5.f / 120, -20.f / 120, 30.f / 120, -20.f / 120, 5.f / 120, 0.f},
-      {-1.f / 120, 5.f / 120, -10.f / 120, 10.f / 120, -5.f / 120, 1.f / 120}};
-};
-
-// The degree + 1 weights at fraction t.
-template <int degree>
-RGBD_DIC_INLINE void spline_weights(float t, float* weights) {
-  constexpr auto& pieces = SplinePieces<degree>::kPieces;
-  for (int k = 0; k <= degree; ++k) {
-    weights[k] = pieces[degree][k];
-    for (int d = degree - 1; d >= 0; --d) weights[k] = weights[k] * t + pieces[d][k];
-  }
-}
-
-// Lines that are filtered side by side, so that the recursion along them runs on vectors across them.
-constexpr int kFilterLanes = 32;
-
-// Filters `lanes` lines of `count` values in place; value k of line l is data[k * step + l].
-RGBD_DIC_CLONES static void filter_lines(float* data, std::ptrdiff_t count, std::ptrdiff_t step, int lanes,
-                                         const SplineDegree& spline) {
-  float sum[kFilterLanes];
-  for (int p = 0; p < spline.pole_count; ++p) {
-    const double pole = spline.poles[p];
-    const float z = static_cast<float>(pole);
-    const float gain = static_cast<float>((1.0 - pole) * (1.0 - 1.0 / pole));
-    for (std::ptrdiff_t k = 0; k < count; ++k)
-      for (int l = 0; l < lanes; ++l) data[k * step + l] *= gain;
-
-    // Forward, started by the mirrored line's sum of z^k c[k], cut where it is below float32's resolution.
-    const int horizon = static_cast<int>(std::ceil(std::log(1e-9) / std::log(std::fabs(pole))));
-    for (int l = 0; l < lanes; ++l) sum[l] = 0.0f;
-    for (int k = horizon; k >= 0; --k) {
-      const std::ptrdiff_t folded = k % (2 * count - 2);
-      const float* value = data + (folded < count ? folded : 2 * count - 2 - folded) * step;
-      for (int l = 0; l < lanes; ++l) sum[l] = sum[l] * z + value[l];
-    }
-    for (int l = 0; l < lanes; ++l) data[l] = sum[l];
-    for (std::ptrdiff_t k = 1; k < count; ++k) {
-      float* value = data + k * step;
-#pragma omp simd
-      for (int l = 0; l < lanes; ++l) value[l] += z * value[l - step];
-    }
-
-    // Backward.
-    float* last = data + (count - 1) * step;
-    const float end = static_cast<float>(pole / (pole * pole - 1.0));
-    for (int l = 0; l < lanes; ++l) last[l] = end * (last[l] + z * last[l - step]);
-    for (std::ptrdiff_t k = count - 2; k >= 0; --k) {
-      float* value = data + k * step;
-#pragma omp simd
-      for (int l = 0; l < lanes; ++l) value[l] = z * (value[l + step] - value[l]);
-    }
-  }
-}
-
-inline void filter_along_columns(PaddedImage& image, const SplineDegree& spline, int threads) {
+inline void filter_along_columns(const Loops& loops, PaddedImage& image, const SplineDegree& spline,
+                                 int threads) {
   parallel_blocks(image.cols(), kFilterLanes, threads, [&](int, std::ptrdiff_t begin, std::ptrdiff_t end) {
-    filter_lines(image.row(0) + begin, image.rows(), image.stride(), static_cast<int>(end - begin), spline);
+    loops.filter_lines(image.row(0) + begin, image.rows(), image.stride(), static_cast<int>(end - begin),
+                       spline.pole_count, spline.poles);
   });
 }
 
-inline void filter_along_rows(PaddedImage& image, const SplineDegree& spline, int threads) {
+inline void filter_along_rows(const Loops& loops, PaddedImage& image, const SplineDegree& spline,
+                              int threads) {
   const std::ptrdiff_t cols = image.cols();
   std::vector<float> transposed(static_cast<std::size_t>(threads * cols * kFilterLanes));
   parallel_blocks(image.rows(), kFilterLanes, threads,
@@ -132,40 +63,164 @@ inline void filter_along_rows(PaddedImage& image, const SplineDegree& spline, in
                     for (std::ptrdiff_t y = begin; y < end; ++y)
                       for (std::ptrdiff_t x = 0; x < cols; ++x)
                         lines[x * kFilterLanes + y - begin] = image.row(y)[x];
-                    filter_lines(lines, cols, kFilterLanes, static_cast<int>(end - begin), spline);
+                    loops.filter_lines(lines, cols, kFilterLanes, static_cast<int>(end - begin),
+                                       spline.pole_count, spline.poles);
                     for (std::ptrdiff_t y = begin; y < end; ++y)
                       for (std::ptrdiff_t x = 0; x < cols; ++x)
                         image.row(y)[x] = lines[x * kFilterLanes + y - begin];
                   });
 }
 
-// Partial derivatives of the interpolating spline at the pixels. Along the other axis the spline passes
-// through the pixels, so that each derivative is that of a one-dimensional spline along its own axis.
-inline PaddedImage derivative_x(PaddedImage image, const SplineDegree& spline, int threads) {
-  filter_along_rows(image, spline, threads);
-  image.mirror_margin();
-  std::vector<float> line(static_cast<std::size_t>(image.cols()));
-  for (std::ptrdiff_t y = 0; y < image.rows(); ++y) {
-    float* c = image.row(y);
-    for (std::ptrdiff_t x = 0; x < image.cols(); ++x)
-      line[x] = spline.derivative[0] * (c[x + 1] - c[x - 1]) + spline.derivative[1] * (c[x + 2] - c[x - 2]);
-    std::copy(line.begin(), line.end(), c);
+// A sampled Gaussian of standard deviation `sigma`, px, cut at four of them, of sum 1; just 1 for sigma = 0.
+inline std::vector<double> gaussian_weights(double sigma) {
+  const int reach = static_cast<int>(std::ceil(4.0 * sigma));
+  std::vector<double> weights;
+  double total = 0.0;
+  for (int k = -reach; k <= reach; ++k) {
+    weights.push_back(k == 0 ? 1.0 : std::exp(-0.5 * k * k / (sigma * sigma)));
+    total += weights.back();
   }
-  return image;
+  for (double& weight : weights) weight /= total;
+  return weights;
 }
 
-inline PaddedImage derivative_y(PaddedImage image, const SplineDegree& spline, int threads) {
-  filter_along_columns(image, spline, threads);
-  image.mirror_margin();
-  PaddedImage derivative = image;
-  for (std::ptrdiff_t y = 0; y < image.rows(); ++y) {
-    const float *up2 = image.row(y - 2), *up1 = image.row(y - 1);
-    const float *down1 = image.row(y + 1), *down2 = image.row(y + 2);
-    float* out = derivative.row(y);
-    for (std::ptrdiff_t x = 0; x < image.cols(); ++x)
-      out[x] = spline.derivative[0] * (down1[x] - up1[x]) + spline.derivative[1] * (down2[x] - up2[x]);
+// The spline's derivative at a pixel, along its axis, as the sum of these weights times the pixels around it.
+// Along the other axis the spline passes through the pixels. What is cut off is below 1e-4 of it.
+inline std::vector<double> derivative_weights(const SplineDegree& spline) {
+  constexpr int kReach = 12;
+  std::vector<double>
+      cardinal;  // coefficients of the spline through a single 1: those of the poles, convolved
+  const int wide = kReach + 2;
+  for (int k = -wide; k <= wide; ++k) cardinal.push_back(k == 0 ? 1.0 : 0.0);
+  for (int p = 0; p < spline.pole_count; ++p) {
+    const double z = spline.poles[p], gain = (1.0 - z) * (1.0 - z) / (1.0 - z * z);
+    std::vector<double> next(cardinal.size(), 0.0);
+    for (int at = -wide; at <= wide; ++at)
+      for (int from = -wide; from <= wide; ++from)
+        next[wide + at] += gain * std::pow(z, std::abs(at - from)) * cardinal[wide + from];
+    cardinal = next;
   }
-  return derivative;
+  std::vector<double> weights;
+  for (int k = -kReach; k <= kReach; ++k)  // of the pixel k further on
+    weights.push_back(spline.derivative[0] * (cardinal[wide - k + 1] - cardinal[wide - k - 1]) +
+                      spline.derivative[1] * (cardinal[wide - k + 2] - cardinal[wide - k - 2]));
+  return weights;
 }
+
+// Of two odd-sized symmetric or antisymmetric sets of weights about their middle.
+inline std::vector<double> convolved(const std::vector<double>& one, const std::vector<double>& other) {
+  std::vector<double> result(one.size() + other.size() - 1, 0.0);
+  for (std::size_t i = 0; i < one.size(); ++i)
+    for (std::size_t k = 0; k < other.size(); ++k) result[i + k] += one[i] * other[k];
+  return result;
+}
+
+// The image with weights applied along both axes, continued by mirroring.
+inline PaddedImage weighted(const Loops& loops, const PaddedImage& image, const std::vector<double>& along_x,
+                            const std::vector<double>& along_y, int threads) {
+  const std::ptrdiff_t rows = image.rows(), cols = image.cols();
+  const std::ptrdiff_t reach_x = along_x.size() / 2, reach_y = along_y.size() / 2;
+  const std::vector<float> x_weights(along_x.begin(), along_x.end()),
+      y_weights(along_y.begin(), along_y.end());
+  const auto mirrored = [](std::ptrdiff_t k, std::ptrdiff_t count) {
+    const std::ptrdiff_t folded = std::abs(k) % (2 * count - 2);
+    return folded < count ? folded : 2 * count - 2 - folded;
+  };
+  PaddedImage result(rows, cols);
+  const std::ptrdiff_t padded = cols + 2 * reach_x;
+  std::vector<float> lines(static_cast<std::size_t>(threads * padded));
+  parallel_blocks(rows, 16, threads, [&](int worker, std::ptrdiff_t begin, std::ptrdiff_t end) {
+    float* line = lines.data() + worker * padded;
+    std::vector<const float*> around(y_weights.size());
+    for (std::ptrdiff_t y = begin; y < end; ++y) {
+      for (std::size_t k = 0; k < around.size(); ++k)
+        around[k] = image.row(mirrored(y + static_cast<std::ptrdiff_t>(k) - reach_y, rows));
+      loops.weighted_sum(around.data(), y_weights.data(), static_cast<int>(around.size()), cols,
+                         line + reach_x);
+      for (std::ptrdiff_t k = 1; k <= reach_x; ++k) {
+        line[reach_x - k] = line[reach_x + mirrored(-k, cols)];
+        line[reach_x + cols - 1 + k] = line[reach_x + mirrored(cols - 1 + k, cols)];
+      }
+      std::vector<const float*> shifted;
+      for (std::size_t k = 0; k < x_weights.size(); ++k) shifted.push_back(line + k);
+      loops.weighted_sum(shifted.data(), x_weights.data(), static_cast<int>(shifted.size()), cols,
+                         result.row(y));
+    }
+  });
+  return result;
+}
+
+// What white noise of unit variance in the pixels leaves in what is made of them.
+class NoiseGain {
+ public:
+  NoiseGain(const Loops& loops, const SplineDegree& spline, double smoothing) {
+    Line coefficients{};  // of the spline through a single 1; nothing is left of it at the ends
+    coefficients[kReach] = 1.0f;
+    loops.filter_lines(coefficients.data(), kCount, 1, 1, spline.pole_count, spline.poles);
+
+    // The variance of a sample at fraction t along one axis is the sum of the squared cardinal spline at all
+    // t + k. It is even about t = 1/2; here as a polynomial through four points in (t - 1/2)^2.
+    constexpr int kPoints = 4;
+    std::array<double, kPoints> square{}, slope{};
+    for (int point = 0; point < kPoints; ++point) {
+      const double s = 0.5 * std::sqrt(0.5 - 0.5 * std::cos((point + 0.5) * M_PI / kPoints));
+      square[point] = s * s;
+      slope[point] = sample_variance(coefficients, spline.degree, 0.5 + s);
+    }
+    for (int level = 1; level < kPoints; ++level)  // divided differences (Newton)
+      for (int k = kPoints - 1; k >= level; --k)
+        slope[k] = (slope[k] - slope[k - 1]) / (square[k] - square[k - level]);
+    std::array<double, kPoints> polynomial{};
+    for (int k = kPoints - 1; k >= 0; --k) {
+      for (int power = kPoints - 1; power > 0; --power)
+        polynomial[power] = polynomial[power - 1] - square[k] * polynomial[power];
+      polynomial[0] = slope[k] - square[k] * polynomial[0];
+    }
+    for (int power = 0; power < kPoints; ++power) sample_[power] = static_cast<float>(polynomial[power]);
+
+    const std::vector<double> gaussian = gaussian_weights(smoothing), plain = derivative_weights(spline);
+    const std::vector<double> smooth = convolved(plain, gaussian);
+    double across = 0.0;
+    for (const double weight : gaussian) across += weight * weight;
+    const std::size_t reach = gaussian.size() / 2;
+    for (std::size_t k = 0; k < plain.size(); ++k) j_d_ += smooth[k + reach] * plain[k] * gaussian[reach];
+    for (const double weight : smooth) j_j_ += weight * weight * across;
+  }
+
+  // The variance of a sample is p(x) p(y), p the polynomial of these coefficients in (fraction - 1/2)^2.
+  const float (&sample() const)[4] { return sample_; }
+
+  // Of products of the two gradients of ReferencePixels, along the same axis.
+  double j_d() const { return j_d_; }
+  double j_j() const { return j_j_; }
+
+ private:
+  static constexpr int kReach = 48, kCount = 2 * kReach + 1;
+  using Line = std::array<float, kCount>;
+
+  static double basis(int degree, double x) {  // the B-spline about 0, by its truncated powers
+    double value = 0.0, sign = 1.0, binomial = 1.0, factorial = 1.0;
+    for (int k = 0; k <= degree + 1; ++k) {
+      value += sign * binomial * std::pow(std::max(0.0, x + 0.5 * (degree + 1) - k), degree);
+      sign = -sign;
+      binomial *= static_cast<double>(degree + 1 - k) / (k + 1);
+    }
+    for (int k = 2; k <= degree; ++k) factorial *= k;
+    return value / factorial;
+  }
+
+  static double sample_variance(const Line& coefficients, int degree, double t) {
+    double variance = 0.0;
+    for (int at = 3; at < kCount - 3; ++at) {
+      double cardinal = 0.0;
+      for (int k = -3; k <= 3; ++k) cardinal += coefficients[at + k] * basis(degree, t - k);
+      variance += cardinal * cardinal;
+    }
+    return variance;
+  }
+
+  float sample_[4];
+  double j_d_ = 0.0, j_j_ = 0.0;
+};
 
 }  // namespace rgbd_dic

@@ -1,17 +1,24 @@
 // Inverse-compositional Gauss-Newton (IC-GN) of subsets with the zero-mean normalised sum of squared
-// differences (ZNSSD), the warp being a given quadratic seed map composed with a local affine increment.
+// differences (ZNSSD), the warp being a given quadratic seed map composed with a local increment.
 //
 // S. Baker, I. Matthews, "Lucas-Kanade 20 years on", Int. J. of Computer Vision 56 (2004); B. Pan, K. Li, W.
 // Tong, "Fast, robust and accurate DIC without redundant computations", Experimental Mechanics 53 (2013).
+//
+// The normal equations are J^T D dp = -J^T r with D the gradient of the reference and J that of the reference
+// smoothed. J only weighs the residuals: where J^T r is zero does not depend on the noise, which is as often
+// positive as negative there, and a smooth J lets less of it in (docs/method.md).
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstdint>
 #include <limits>
+#include <memory>
+#include <new>
 #include <vector>
 
-#include "clones.hpp"
+#include "loops.hpp"
 #include "reference.hpp"
 #include "spline_image.hpp"
 #include "threads.hpp"
@@ -28,21 +35,30 @@ enum class SubsetStatus : std::uint8_t {
   kLowTexture = 4,
   kDiverged = 5,
   kSkipped = 6,
+  kTorn = 7,
 };
 
 struct Limits {
   int max_iterations;
-  double tolerance_px;  // on the increment, its gradients multiplied by half the subset's size
+  double tolerance_px;  // on what is left to go, gradients multiplied by half the subset's size
   double min_zncc;
-  double min_contrast;  // standard deviation of the reference subset, grey levels
-  double max_shift_px;  // on |u| and |v|
+  double min_contrast;   // standard deviation of the reference subset, grey levels
+  double max_shift_px;   // on |u| and |v|
+  double max_misfit_px;  // on the displacement of a strip of the subset against the whole
 };
 
 constexpr double kMaxGradient = 0.5;         // on the gradients of the increment
 constexpr double kMinTargetContrast = 1e-3;  // grey levels; below it the target is uniform but for rounding
 
+// The error shrinks at each step by a factor that falls as the solution comes near. It is estimated from two
+// steps, taken as at least kLeastRate, and as kFirstRate when there was but one step.
+constexpr double kFirstRate = 0.1, kLeastRate = 0.02;
+// The last step is at most this times the tolerance, so that the residual before it tells of the one after
+// it.
+constexpr double kMaxLastStep = 20.0;
+
 struct SubsetResult {
-  double x = std::numeric_limits<double>::quiet_NaN();  // found centre in the target, px
+  double x = std::numeric_limits<double>::quiet_NaN();  // the point in the target, px
   double y = x;
   double sigma_x = x, sigma_y = x;  // standard uncertainty, px
   double zncc = x;
@@ -50,175 +66,261 @@ struct SubsetResult {
   SubsetStatus status = SubsetStatus::kNotConverged;
 };
 
-// Range of one coordinate that samples may have.
-struct Range {
-  float low, high;
-};
+// Memory for the samples of one subset, as vectors want it.
+class SampleBuffer {
+ public:
+  explicit SampleBuffer(std::size_t count)
+      : values_(static_cast<float*>(::operator new(count * sizeof(float), kAlignment))) {}
+  float* data() { return values_.get(); }
 
-// Evaluates both polynomials of a quadratic warp at all offsets; false if a position leaves its range.
-RGBD_DIC_CLONES static bool warp_positions(const float* xi, const float* eta, int count, const float (&cx)[6],
-                                           const float (&cy)[6], Range range_x, Range range_y, float* x,
-                                           float* y) {
-  int outside = 0;
-#pragma omp simd reduction(| : outside)
-  for (int i = 0; i < count; ++i) {
-    const float p = xi[i], q = eta[i];
-    const float at_x = cx[0] + p * (cx[1] + p * cx[3] + q * cx[4]) + q * (cx[2] + q * cx[5]);
-    const float at_y = cy[0] + p * (cy[1] + p * cy[3] + q * cy[4]) + q * (cy[2] + q * cy[5]);
-    // False for NaN, which a polynomial that overflows gives.
-    const int inside =
-        (at_x >= range_x.low) & (at_x <= range_x.high) & (at_y >= range_y.low) & (at_y <= range_y.high);
-    outside |= inside ^ 1;
-    x[i] = at_x;
-    y[i] = at_y;
-  }
-  return outside == 0;
-}
-
-struct Moments {
-  float mean, power;  // power: sum of squared deviations from the mean
-};
-
-RGBD_DIC_CLONES static Moments moments(const float* g, int count) {
-  float sum = 0.0f, power = 0.0f;
-#pragma omp simd reduction(+ : sum)
-  for (int i = 0; i < count; ++i) sum += g[i];
-  const float mean = sum / static_cast<float>(count);
-#pragma omp simd reduction(+ : power)
-  for (int i = 0; i < count; ++i) power += (g[i] - mean) * (g[i] - mean);
-  return {mean, power};
-}
-
-// Sums over the subset of the residual r times itself, f, 1 and the columns of J.
-struct ResidualSums {
-  float r_r, r_f, r_1, r_j[kParameterCount];
-};
-
-RGBD_DIC_CLONES static ResidualSums residual_sums(const float* f, const float* fx, const float* fy,
-                                                  const float* xi, const float* eta, const float* g,
-                                                  int count, float mean, float scale) {
-  float r_r = 0, r_f = 0, r_1 = 0, u = 0, ux = 0, uy = 0, v = 0, vx = 0, vy = 0;
-#pragma omp simd reduction(+ : r_r, r_f, r_1, u, ux, uy, v, vx, vy)
-  for (int i = 0; i < count; ++i) {
-    const float r = f[i] - scale * (g[i] - mean), rx = r * fx[i], ry = r * fy[i];
-    r_r += r * r;
-    r_f += r * f[i];
-    r_1 += r;
-    u += rx;
-    ux += rx * xi[i];
-    uy += rx * eta[i];
-    v += ry;
-    vx += ry * xi[i];
-    vy += ry * eta[i];
-  }
-  return {r_r, r_f, r_1, {u, ux, uy, v, vx, vy}};
-}
-
-// What one thread needs to correlate one subset after another.
-struct Workspace {
-  Patch patch;
-  std::vector<float> x, y, g;
-
-  explicit Workspace(int count) : patch(count), x(count), y(count), g(count) {}
-};
-
-// Samples the target at the warped positions into work.g; false if one leaves the image.
-inline bool sample_target(const SplineImage& target, const SubsetGrid& grid, const Quadratic& warp,
-                          Workspace& work) {
-  const double x0 = std::floor(warp[0][0]), y0 = std::floor(warp[1][0]);
-  const double right = static_cast<double>(target.cols() - 1),
-               bottom = static_cast<double>(target.rows() - 1);
-  if (!(x0 >= 0.0 && x0 <= right && y0 >= 0.0 && y0 <= bottom)) return false;
-  float cx[6], cy[6];
-  for (int k = 0; k < 6; ++k) {
-    cx[k] = static_cast<float>(k == 0 ? warp[0][0] - x0 : warp[0][k]);
-    cy[k] = static_cast<float>(k == 0 ? warp[1][0] - y0 : warp[1][k]);
-    if (!std::isfinite(cx[k]) || !std::isfinite(cy[k])) return false;
-  }
-  const Range range_x = {static_cast<float>(-x0), static_cast<float>(right - x0)};
-  const Range range_y = {static_cast<float>(-y0), static_cast<float>(bottom - y0)};
-  if (!warp_positions(grid.xi.data(), grid.eta.data(), grid.count, cx, cy, range_x, range_y, work.x.data(),
-                      work.y.data()))
-    return false;
-  target.sample(static_cast<std::ptrdiff_t>(x0), static_cast<std::ptrdiff_t>(y0), work.x.data(),
-                work.y.data(), grid.count, work.g.data());
-  return true;
-}
-
-inline SubsetResult correlate_subset(const Reference& reference, const Subset& subset,
-                                     const SplineImage& target, const Quadratic& seed, const Limits& limits,
-                                     Workspace& work) {
-  const SubsetGrid& grid = reference.grid();
-  const int n = grid.count;
-  SubsetResult result;
-  const auto ended = [&result](SubsetStatus status) {
-    result.status = status;
-    return result;
+ private:
+  static constexpr std::align_val_t kAlignment{64};
+  struct Delete {
+    void operator()(float* values) const { ::operator delete(values, kAlignment); }
   };
-  for (const auto& line : seed)
-    for (const double coefficient : line)
-      if (std::isnan(coefficient)) return ended(SubsetStatus::kSkipped);
-  if (!subset.invertible || subset.contrast(n) < limits.min_contrast) return ended(SubsetStatus::kLowTexture);
+  std::unique_ptr<float, Delete> values_;
+};
 
-  reference.load(subset, work.patch);
-  Affine increment;
-  while (result.iterations < limits.max_iterations) {
-    ++result.iterations;
-    if (!sample_target(target, grid, increment.seeded(seed), work)) return ended(SubsetStatus::kOutsideImage);
+// One subset against the target.
+class SubsetMatch {
+ public:
+  SubsetMatch(const Reference& reference, const SplineCoefficients& target, const Limits& limits,
+              SampleBuffer& samples)
+      : reference_(reference),
+        loops_(reference.loops()),
+        layout_(reference.layout()),
+        target_(target),
+        limits_(limits),
+        g_(samples.data()) {}
 
-    const Moments g = moments(work.g.data(), n);
-    if (!(g.power > n * kMinTargetContrast * kMinTargetContrast)) return ended(SubsetStatus::kLowCorrelation);
-    const double scale = std::sqrt(subset.power / g.power);
-    const ResidualSums sums =
-        residual_sums(work.patch.f.data(), work.patch.fx.data(), work.patch.fy.data(), grid.xi.data(),
-                      grid.eta.data(), work.g.data(), n, g.mean, static_cast<float>(scale));
-    result.zncc = 1.0 - sums.r_r / (2.0 * subset.power);  // ZNSSD is |r|^2 / |f|^2
+  SubsetResult correlate(std::ptrdiff_t index, const Quadratic& seed) {
+    subset_ = &reference_[index];
+    result_ = SubsetResult{};
+    const int half = layout_.half, n = layout_.count(), order = reference_.model().order,
+              p = reference_.model().parameters();
+    for (const Polynomial& line : seed)
+      for (const double coefficient : line)
+        if (std::isnan(coefficient)) return ended(SubsetStatus::kSkipped);
+    if (subset_->state == Subset::State::kOutside) return ended(SubsetStatus::kOutsideImage);
+    if (subset_->state == Subset::State::kSingular || subset_->contrast(n) < limits_.min_contrast)
+      return ended(SubsetStatus::kLowTexture);
 
-    Vector6 gradient{}, dp{};
-    for (int k = 0; k < kParameterCount; ++k)
-      gradient[k] = sums.r_j[k] - subset.mean_j[k] * sums.r_1 - subset.share_j[k] * sums.r_f;
-    for (int k = 0; k < kParameterCount; ++k)
-      for (int m = 0; m < kParameterCount; ++m) dp[k] -= subset.inverse[k][m] * gradient[m];
-    if (!increment.compose_inverse(dp) || !increment.within(limits.max_shift_px, kMaxGradient))
-      return ended(SubsetStatus::kDiverged);
+    const SubsetEquations equations = reference_.equations(index);
+    pixels_ = reference_.pixels(*subset_);
+    Quadratic increment = kIdentity;
+    double last_step = std::numeric_limits<double>::infinity(), relaxation = 1.0;
+    std::array<double, kMaxParameters> last_edge{};
+    while (result_.iterations < limits_.max_iterations) {
+      ++result_.iterations;
+      if (!sample(composed(seed, increment))) return ended(SubsetStatus::kOutsideImage);
+      const Moments g = loops_.moments(layout_, g_);
+      if (!(g.power > n * kMinTargetContrast * kMinTargetContrast))
+        return ended(SubsetStatus::kLowCorrelation);
+      mean_g_ = g.mean;
+      scale_ = static_cast<float>(std::sqrt(subset_->power / g.power));
+      ResidualSums sums;
+      loops_.residual_sums(layout_, pixels_, static_cast<float>(subset_->mean), g_, mean_g_, scale_, order,
+                           sums);
+      result_.zncc = 1.0 - sums.r_r / (2.0 * subset_->power);  // ZNSSD is |r|^2 / |f|^2
 
-    double step = dp[kU] * dp[kU] + dp[kV] * dp[kV];
-    for (const int k : {kUx, kUy, kVx, kVy}) step += dp[k] * dp[k] * grid.half * grid.half;
-    if (!(std::sqrt(step) < limits.tolerance_px)) continue;
-    if (result.zncc < limits.min_zncc) return ended(SubsetStatus::kLowCorrelation);
+      std::array<double, kMaxParameters> gradient{}, dp{};
+      for (int k = 0; k < p; ++k)
+        gradient[k] = sums.r_j[k] - equations.mean_j[k] * sums.r_1 - equations.share_j[k] * sums.r_f;
+      for (int k = 0; k < p; ++k)
+        for (int m = 0; m < p; ++m) dp[k] -= equations.inverse[k * p + m] * gradient[m];
+      // Noise in J^T D makes steps too short; how much, the last two tell (B. Irons, R. Tuck, "A version of
+      // the Aitken accelerator for computer iteration", Int. J. for Numerical Methods in Engineering 1
+      // (1969)).
+      std::array<double, kMaxParameters> edge{};  // motion of the subset's edge by each parameter, px
+      double square = 0.0, turn = 0.0, turn_last = 0.0;
+      for (int k = 0; k < p; ++k) {
+        const int degree = kDegreeOf[k % (p / 2)];
+        edge[k] = dp[k] * (degree == 0 ? 1 : degree == 1 ? half : half * half);
+        square += edge[k] * edge[k];
+        turn += (edge[k] - last_edge[k]) * (edge[k] - last_edge[k]);
+        turn_last += (edge[k] - last_edge[k]) * last_edge[k];
+      }
+      if (result_.iterations > 1) relaxation = std::min(std::max(-relaxation * turn_last / turn, 0.5), 2.5);
+      last_edge = edge;
+      Quadratic change = kIdentity, inverse;
+      for (int k = 0; k < p; ++k) change[k / (p / 2)][k % (p / 2)] += relaxation * dp[k];
+      if (!inverted(change, inverse)) return failed(SubsetStatus::kDiverged, seed);
+      increment = composed(increment, inverse);
+      if (!is_plausible(increment, half, limits_.max_shift_px, kMaxGradient))
+        return failed(SubsetStatus::kDiverged, seed);
 
-    const Quadratic warp = increment.seeded(seed);
-    // Residual variance with 8 parameters estimated, for white noise of equal strength in both images:
+      const double step = std::sqrt(square);
+      const double rate = std::isinf(last_step) ? kFirstRate : std::max(step / last_step, kLeastRate);
+      last_step = step;
+      const bool arrived = rate < 0.5 && step * rate / (1.0 - rate) < limits_.tolerance_px &&
+                           step < kMaxLastStep * limits_.tolerance_px;
+      if (!arrived) continue;
+      if (result_.zncc < limits_.min_zncc) return failed(SubsetStatus::kLowCorrelation, seed);
+      return judged(sums.r_r, composed(seed, increment));
+    }
+    return failed(SubsetStatus::kNotConverged, seed);
+  }
+
+ private:
+  const SubsetResult& ended(SubsetStatus status) {
+    result_.status = status;
+    return result_;
+  }
+
+  // Samples the target at the warped positions; false if one leaves the image.
+  bool sample(const Quadratic& warp) {
+    const double x0 = std::floor(warp[0][0]), y0 = std::floor(warp[1][0]);
+    const Box& box = target_.box();
+    if (!(x0 >= static_cast<double>(box.x0) && x0 < static_cast<double>(box.x1) &&
+          y0 >= static_cast<double>(box.y0) && y0 < static_cast<double>(box.y1)))
+      return false;
+    for (int k = 0; k < kMaxMonomials; ++k) {
+      local_.x[k] = static_cast<float>(k == 0 ? warp[0][0] - x0 : warp[0][k]);
+      local_.y[k] = static_cast<float>(k == 0 ? warp[1][0] - y0 : warp[1][k]);
+    }
+    const auto function = reference_.model().degree == 3 ? loops_.sample_cubic : loops_.sample_quintic;
+    return function(layout_, target_.around(static_cast<std::ptrdiff_t>(x0), static_cast<std::ptrdiff_t>(y0)),
+                    local_, g_);
+  }
+
+  // The result of a subset that came to rest with this residual.
+  const SubsetResult& judged(double r_r, const Quadratic& warp) {
+    // Residual variance with p + 2 parameters estimated, for white noise of equal strength in both images:
     // sampling between pixels weakens the target's share of the residual, but not what it does to the
     // parameters, which depend on low frequencies only.
-    const double gain = target.noise_gain().mean(work.x.data(), work.y.data(), n);
-    const double variance = sums.r_r / static_cast<double>(n - kParameterCount - 2) * 2.0 / (1.0 + gain);
-    const double uu = variance * subset.inverse[kU][kU], uv = variance * subset.inverse[kU][kV],
-                 vv = variance * subset.inverse[kV][kV];
-    const auto sigma = [&](const std::array<double, 6>& w) {  // through the Jacobian of the whole warp
-      return std::sqrt(w[1] * w[1] * uu + 2.0 * w[1] * w[2] * uv + w[2] * w[2] * vv);
+    const double gain = loops_.mean_gain(layout_, local_, reference_.noise_gain().sample());
+    const double variance =
+        r_r / (layout_.count() - reference_.model().parameters() - 2) * 2.0 / (1.0 + gain);
+    if (is_torn(variance)) return ended(SubsetStatus::kTorn);
+
+    const double u = noise_factor(0.5 * variance, subset_->noise_jj_u, subset_->noise_jd_u);
+    const double v = noise_factor(0.5 * variance, subset_->noise_jj_v, subset_->noise_jd_v);
+    const double uu = variance * u * u * subset_->uu, uv = variance * u * v * subset_->uv,
+                 vv = variance * v * v * subset_->vv;
+    const double xi = subset_->away_x, eta = subset_->away_y;
+    const auto sigma = [&](const Polynomial& w) {  // through the Jacobian of the whole warp
+      const double along_xi = w[1] + 2.0 * w[3] * xi + w[4] * eta,
+                   along_eta = w[2] + w[4] * xi + 2.0 * w[5] * eta;
+      return std::sqrt(along_xi * along_xi * uu + 2.0 * along_xi * along_eta * uv +
+                       along_eta * along_eta * vv);
     };
-    result.x = warp[0][0];
-    result.y = warp[1][0];
-    result.sigma_x = sigma(warp[0]);
-    result.sigma_y = sigma(warp[1]);
+    result_.x = evaluated(warp[0], xi, eta);
+    result_.y = evaluated(warp[1], xi, eta);
+    result_.sigma_x = sigma(warp[0]);
+    result_.sigma_y = sigma(warp[1]);
     return ended(SubsetStatus::kConverged);
   }
-  return ended(SubsetStatus::kNotConverged);
+
+  // By how much the standard uncertainty that follows from J^T J and J^T D is wrong because the reference's
+  // noise is in them. It adds to J^T J, but acts with the target's noise only (with its own it cancels, J
+  // being an odd filter): half of it counts. In J^T D it is no gradient at all.
+  static double noise_factor(double noise_variance, double jj, double jd) {
+    return std::sqrt(std::max(1.0 - 0.5 * noise_variance * jj, 0.5)) /
+           (1.0 - std::min(noise_variance * jd, 0.5));
+  }
+
+  // Whether a strip of a subset that came to rest is displaced against the whole by more than max_misfit_px
+  // and its noise, or is far less like the reference than another: a crack, or the border of something in
+  // front.
+  bool is_torn(double variance) const {
+    constexpr double kSigmas = 6.0, kUnlike = 0.1 /* 1 - ZNCC */,
+                     kUneven = 4.0 /* between residual variances */;
+    StripResidual residuals[kStrips];
+    loops_.strip_residuals(layout_, pixels_, static_cast<float>(subset_->mean), g_, mean_g_, scale_,
+                           residuals);
+    double least = std::numeric_limits<double>::infinity();
+    for (int k = 0; k < kStrips; ++k)
+      least = std::min<double>(least, residuals[k].r_r / subset_->strips[k].count);
+    const double sigma = std::sqrt(4.0 * variance * std::max(subset_->uu, subset_->vv));
+    const double limit = std::max(limits_.max_misfit_px, kSigmas * sigma);
+    for (int k = 0; k < kStrips; ++k) {
+      const Strip& strip = subset_->strips[k];
+      const StripResidual& r = residuals[k];
+      if (r.r_r > 2.0 * kUnlike * strip.f_f && r.r_r > kUneven * least * strip.count) return true;
+      const auto& inverse = strip.inverse;
+      if (std::fabs(inverse[0][0] * r.r_jx + inverse[0][1] * r.r_jy) > limit ||
+          std::fabs(inverse[1][0] * r.r_jx + inverse[1][1] * r.r_jy) > limit)
+        return true;
+    }
+    return false;
+  }
+
+  // The end of a subset that was not found: torn, if where the seed puts it a strip matches and another does
+  // not.
+  const SubsetResult& failed(SubsetStatus status, const Quadratic& seed) {
+    constexpr double kMatches = 0.8, kDoesNot = 0.5;  // ZNCC of a strip
+    if (!sample(seed)) return ended(status);
+    StripSamples samples[kStrips];
+    const float mean_g = loops_.moments(layout_, g_).mean;
+    loops_.strip_samples(layout_, pixels_, static_cast<float>(subset_->mean), g_, mean_g, samples);
+    double best = -1.0, worst = 1.0;
+    for (int k = 0; k < kStrips; ++k) {
+      const Strip& f = subset_->strips[k];
+      const StripSamples& g = samples[k];
+      const double powers = (f.f_f - f.f * f.f / f.count) * (g.g_g - g.g * g.g / f.count);
+      const double zncc = powers > 0.0 ? (g.f_g - f.f * g.g / f.count) / std::sqrt(powers) : 0.0;
+      best = std::max(best, zncc);
+      worst = std::min(worst, zncc);
+    }
+    return ended(best > kMatches && worst < kDoesNot ? SubsetStatus::kTorn : status);
+  }
+
+  const Reference& reference_;
+  const Loops& loops_;
+  const Layout layout_;
+  const SplineCoefficients& target_;
+  const Limits& limits_;
+  float* g_;
+  const Subset* subset_ = nullptr;
+  ReferencePixels pixels_{};
+  LocalWarp local_{};
+  SubsetResult result_;
+  float mean_g_ = 0.0f, scale_ = 1.0f;
+};
+
+// The part of the target that a subset can reach from its seed with a plausible increment.
+inline Box reachable(const Quadratic& seed, int half, double max_shift, const Box& image) {
+  const double way = half * (1.0 + 2.0 * kMaxGradient) + max_shift;
+  std::array<double, 2> low{}, high{};
+  for (int axis = 0; axis < 2; ++axis) {
+    const Polynomial& s = seed[axis];
+    const double reach = way * (std::fabs(s[1]) + std::fabs(s[2])) +
+                         way * way * (std::fabs(s[3]) + std::fabs(s[4]) + std::fabs(s[5]));
+    low[axis] = s[0] - reach - 1.0;
+    high[axis] = s[0] + reach + 2.0;
+    if (!(low[axis] <= high[axis])) return {};  // NaN
+  }
+  const auto pixel = [](double at, std::ptrdiff_t end) {
+    return static_cast<std::ptrdiff_t>(std::min(std::max(at, 0.0), static_cast<double>(end)));
+  };
+  return {pixel(low[0], image.x1), pixel(low[1], image.y1), pixel(high[0], image.x1),
+          pixel(high[1], image.y1)};
 }
 
 // Correlates subset indices[i] (or subset i, if indices is null) for i < count and hands each result to
 // store(i, result). `seeds` has one map for every subset of the reference, selected or not. What a subset
-// gives depends neither on the others nor on the number of threads.
+// gives does not depend on the number of threads.
 template <class Store>
-void correlate_subsets(const Reference& reference, const SplineImage& target, const std::int32_t* indices,
+void correlate_subsets(const Reference& reference, SplineImage& target, const std::int32_t* indices,
                        const Quadratic* seeds, std::ptrdiff_t count, const Limits& limits, int threads,
                        const Store& store) {
-  std::vector<Workspace> workspaces(static_cast<std::size_t>(threads), Workspace(reference.grid().count));
-  parallel_blocks(count, 16, threads, [&](int worker, std::ptrdiff_t begin, std::ptrdiff_t end) {
+  const Layout layout = reference.layout();
+  Box box = {target.cols(), target.rows(), 0, 0};
+  for (std::ptrdiff_t i = 0; i < count; ++i) {
+    const Box reach =
+        reachable(seeds[indices ? indices[i] : i], layout.half, limits.max_shift_px, target.whole());
+    if (!reach.empty()) box = box.joined(reach);
+  }
+  const auto coefficients = target.covering(box.empty() ? Box{0, 0, 1, 1} : box, threads);
+  const std::size_t stored =
+      static_cast<std::size_t>(layout.columns) * reference.loops().width * layout.size();
+  std::vector<SampleBuffer> samples;
+  for (int worker = 0; worker < threads; ++worker) samples.emplace_back(stored);
+  parallel_blocks(count, 32, threads, [&](int worker, std::ptrdiff_t begin, std::ptrdiff_t end) {
+    SubsetMatch match(reference, *coefficients, limits, samples[worker]);
     for (std::ptrdiff_t i = begin; i < end; ++i) {
       const std::ptrdiff_t k = indices ? indices[i] : i;
-      store(i, correlate_subset(reference, reference[k], target, seeds[k], limits, workspaces[worker]));
+      store(i, match.correlate(k, seeds[k]));
     }
   });
 }

@@ -3,9 +3,9 @@
 
 #include <algorithm>
 #include <cstddef>
-#include <stdexcept>
-#include <string>
 #include <vector>
+
+#include "loops.hpp"
 
 namespace rgbd_dic {
 
@@ -13,17 +13,14 @@ namespace rgbd_dic {
 class PaddedImage {
  public:
   static constexpr int kMargin = 3;
-  static constexpr int kMinSize = 8;  // px; smaller images are refused
 
-  template <class Pixel>
-  PaddedImage(const Pixel* pixels, std::ptrdiff_t rows, std::ptrdiff_t cols) : rows_(rows), cols_(cols) {
-    if (rows < kMinSize || cols < kMinSize)
-      throw std::invalid_argument("image of " + std::to_string(rows) + " rows and " + std::to_string(cols) +
-                                  " columns: at least " + std::to_string(kMinSize) + " of each are needed");
-    stride_ = cols + 2 * kMargin;
-    data_.assign(static_cast<std::size_t>(stride_ * (rows + 2 * kMargin)), 0.0f);
-    for (std::ptrdiff_t y = 0; y < rows; ++y) std::copy_n(pixels + y * cols, cols, row(y));
-  }
+  PaddedImage() = default;
+
+  PaddedImage(std::ptrdiff_t rows, std::ptrdiff_t cols)
+      : rows_(rows),
+        cols_(cols),
+        stride_(cols + 2 * kMargin),
+        data_(static_cast<std::size_t>(stride_ * (rows + 2 * kMargin) + kReadAhead), 0.0f) {}
 
   std::ptrdiff_t rows() const { return rows_; }
   std::ptrdiff_t cols() const { return cols_; }
@@ -49,7 +46,7 @@ class PaddedImage {
   }
 
  private:
-  std::ptrdiff_t rows_, cols_, stride_ = 0;
+  std::ptrdiff_t rows_ = 0, cols_ = 0, stride_ = 0;
   std::vector<float> data_;
 };
 

@@ -10,171 +10,252 @@
 #include <vector>
 
 #include "bspline.hpp"
+#include "image.hpp"
+#include "loops.hpp"
 #include "threads.hpp"
-#include "warp.hpp"
 
 namespace rgbd_dic {
 
-using Matrix6 = std::array<Vector6, kParameterCount>;
+// How subsets are made and matched.
+struct SubsetModel {
+  int size;          // px, odd
+  int degree;        // of the B-spline
+  int order;         // of the local increment: 1 affine, 2 quadratic
+  double smoothing;  // of the steepest-descent gradients, px
 
-// Offsets of a subset's pixels from its centre, row by row.
-struct SubsetGrid {
-  int half = 0;   // (size - 1) / 2, px
-  int count = 0;  // number of pixels
-  std::vector<float> xi, eta;
+  int parameters() const { return 2 * monomial_count(order); }
+};
 
-  explicit SubsetGrid(int size) : half((size - 1) / 2), count(size * size) {
-    if (size < 5 || size % 2 == 0)
-      throw std::invalid_argument("subset_size = " + std::to_string(size) +
-                                  " px: must be odd and at least 5");
-    for (int y = -half; y <= half; ++y)
-      for (int x = -half; x <= half; ++x) {
-        xi.push_back(static_cast<float>(x));
-        eta.push_back(static_cast<float>(y));
-      }
+// What is known of a strip of a subset before it is searched.
+struct Strip {
+  float count = 0, f = 0, f_f = 0;  // pixels, sums of f and f^2, the subset's mean taken off
+  // (J^T D)^-1 of its translation, J and D not made orthogonal; NaN where its texture does not determine it.
+  float inverse[2][2] = {};
+
+  Strip() = default;
+  explicit Strip(const StripProducts& sums) : count(sums.count), f(sums.f), f_f(sums.f_f) {
+    const double determinant =
+        static_cast<double>(sums.jx_dx) * sums.jy_dy - static_cast<double>(sums.jx_dy) * sums.jy_dx;
+    const double share = determinant > 0.05 * sums.jx_dx * sums.jy_dy ? 1.0 / determinant : std::nan("");
+    inverse[0][0] = static_cast<float>(sums.jy_dy * share);
+    inverse[0][1] = static_cast<float>(-sums.jx_dy * share);
+    inverse[1][0] = static_cast<float>(-sums.jy_dx * share);
+    inverse[1][1] = static_cast<float>(sums.jx_dx * share);
   }
 };
 
-// One subset's pixels in the order of the grid.
-struct Patch {
-  std::vector<float> f, fx, fy;  // grey value minus the subset's mean; gradient, grey levels per px
-
-  explicit Patch(int count) : f(count), fx(count), fy(count) {}
-};
-
-// Constants of the least-squares problem of one subset. J is the n x 6 matrix of steepest-descent images;
-// what is subtracted below makes it orthogonal to the constant and to f, so that scale and offset of the grey
-// values are estimated along with the six parameters without appearing in the equations.
+// Constants of one subset. J is the n x p matrix of steepest-descent images, D the same of the true
+// gradients; what is subtracted below makes J orthogonal to the constant and to f, so that scale and offset
+// of the grey values are estimated along with the parameters without appearing in the equations.
 struct Subset {
-  int x = 0, y = 0;         // centre, px
-  double mean = 0.0;        // grey levels
-  double power = 0.0;       // sum of f^2
-  bool invertible = false;  // the normal matrix has a safe inverse
-  Vector6 mean_j{};         // J^T 1 / n
-  Vector6 share_j{};        // J^T f / power
-  Matrix6 inverse{};        // (J^T J)^-1 of the projected J
+  enum class State : std::uint8_t { kUsable, kOutside, kSingular };
+
+  std::int32_t x = 0, y = 0;     // centre, px
+  float away_x = 0, away_y = 0;  // of the point to be followed from the centre, px
+  State state = State::kOutside;
+  double mean = 0.0;              // grey levels
+  double power = 0.0;             // sum of (f - mean)^2
+  double uu = 0, uv = 0, vv = 0;  // covariance of the point's displacement per variance of the residual, px^2
+  // What share of the diagonal of J^T J and J^T D is noise, for noise of unit variance.
+  float noise_jj_u = 0, noise_jj_v = 0, noise_jd_u = 0, noise_jd_v = 0;
+
+  Strip strips[kStrips];
 
   double contrast(int count) const { return std::sqrt(power / count); }
 };
 
-// Inverts a symmetric positive definite matrix, its rows and columns scaled by `scale` first. False if a
-// pivot of the scaled matrix is below 1e-6: the texture does not determine all parameters.
-inline bool invert_spd(const Matrix6& matrix, const Vector6& scale, Matrix6& inverse) {
-  constexpr int n = kParameterCount;
-  Matrix6 lower{};
+// The p x p matrix in front of the right-hand side, J^T 1 / n and J^T f / power, one after the other.
+struct SubsetEquations {
+  const double *inverse, *mean_j, *share_j;
+};
+
+using Square = std::array<double, kMaxParameters * kMaxParameters>;  // p x p of it, row by row
+
+// Inverts a matrix close to a symmetric positive definite one by Gauss-Jordan elimination, its rows and
+// columns scaled to a unit diagonal. False if a pivot falls below 1e-6: the texture does not determine all
+// parameters.
+inline bool invert(Square& matrix, int n, double* inverse) {
+  std::array<double, kMaxParameters> scale{};
+  for (int i = 0; i < n; ++i) {
+    if (!(matrix[i * n + i] > 0.0)) return false;
+    scale[i] = 1.0 / std::sqrt(matrix[i * n + i]);
+  }
   for (int i = 0; i < n; ++i)
-    for (int j = 0; j <= i; ++j) {
-      double value = matrix[i][j] * scale[i] * scale[j];
-      for (int k = 0; k < j; ++k) value -= lower[i][k] * lower[j][k];
-      if (i == j && !(value > 1e-6)) return false;
-      lower[i][j] = i == j ? std::sqrt(value) : value / lower[j][j];
+    for (int j = 0; j < n; ++j) {
+      matrix[i * n + j] *= scale[i] * scale[j];
+      inverse[i * n + j] = i == j ? 1.0 : 0.0;
     }
   for (int column = 0; column < n; ++column) {
-    Vector6 solution{};
+    const double pivot = matrix[column * n + column];
+    if (!(pivot > 1e-6)) return false;
+    for (int j = 0; j < n; ++j) {
+      matrix[column * n + j] /= pivot;
+      inverse[column * n + j] /= pivot;
+    }
     for (int i = 0; i < n; ++i) {
-      double value = i == column ? 1.0 : 0.0;
-      for (int k = 0; k < i; ++k) value -= lower[i][k] * solution[k];
-      solution[i] = value / lower[i][i];
+      const double factor = matrix[i * n + column];
+      if (i == column || factor == 0.0) continue;
+      for (int j = 0; j < n; ++j) {
+        matrix[i * n + j] -= factor * matrix[column * n + j];
+        inverse[i * n + j] -= factor * inverse[column * n + j];
+      }
     }
-    for (int i = n - 1; i >= 0; --i) {
-      double value = solution[i];
-      for (int k = i + 1; k < n; ++k) value -= lower[k][i] * solution[k];
-      solution[i] = value / lower[i][i];
-    }
-    for (int i = 0; i < n; ++i) inverse[i][column] = solution[i] * scale[i] * scale[column];
   }
+  for (int i = 0; i < n; ++i)
+    for (int j = 0; j < n; ++j) inverse[i * n + j] *= scale[i] * scale[j];
   return true;
 }
 
 class Reference {
  public:
-  // `centres` holds x, y of each subset.
-  Reference(PaddedImage image, const std::int32_t* centres, std::ptrdiff_t count, int subset_size, int degree,
-            int threads)
-      : spline_(SplineDegree::of(degree)),
-        grid_(subset_size),
-        image_(std::move(image)),
-        fx_(derivative_x(image_, spline_, threads)),
-        fy_(derivative_y(image_, spline_, threads)),
-        subsets_(static_cast<std::size_t>(count)) {
-    for (std::ptrdiff_t i = 0; i < count; ++i) {
-      subsets_[i].x = centres[2 * i];
-      subsets_[i].y = centres[2 * i + 1];
-      check_inside(i);
-    }
-    std::vector<Patch> patches(static_cast<std::size_t>(threads), Patch(grid_.count));
-    parallel_blocks(count, 64, threads, [&](int worker, std::ptrdiff_t begin, std::ptrdiff_t end) {
-      for (std::ptrdiff_t i = begin; i < end; ++i) prepare(subsets_[i], patches[worker]);
+  // `centres` holds x, y of the point to be followed in each subset, px; the subset is centred at the nearest
+  // pixel.
+  Reference(const Loops& loops, const Image& image, const double* centres, std::ptrdiff_t count,
+            const SubsetModel& model, int threads)
+      : loops_(loops),
+        model_(checked(model)),
+        noise_gain_(loops, SplineDegree::of(model.degree), model.smoothing),
+        f_(image.whole()),
+        subsets_(static_cast<std::size_t>(count)),
+        equations_(static_cast<std::size_t>(count * equation_size())) {
+    weight_.assign(static_cast<std::size_t>((model.size + loops.width - 1) / loops.width * loops.width),
+                   0.0f);
+    std::fill_n(weight_.begin(), model.size, 1.0f);
+    const std::vector<double> one = {1.0}, gaussian = gaussian_weights(model.smoothing);
+    const std::vector<double> derivative = derivative_weights(SplineDegree::of(model.degree));
+    const PaddedImage dx = weighted(loops, f_, derivative, one, threads);
+    const PaddedImage dy = weighted(loops, f_, one, derivative, threads);
+    jx_ = weighted(loops, f_, convolved(derivative, gaussian), gaussian, threads);
+    jy_ = weighted(loops, f_, gaussian, convolved(derivative, gaussian), threads);
+    parallel_blocks(count, 64, threads, [&](int, std::ptrdiff_t begin, std::ptrdiff_t end) {
+      for (std::ptrdiff_t i = begin; i < end; ++i) prepare(i, centres[2 * i], centres[2 * i + 1], dx, dy);
     });
   }
 
-  int degree() const { return spline_.degree; }
-  const SubsetGrid& grid() const { return grid_; }
+  const Loops& loops() const { return loops_; }
+  const SubsetModel& model() const { return model_; }
+  const NoiseGain& noise_gain() const { return noise_gain_; }
   std::ptrdiff_t size() const { return static_cast<std::ptrdiff_t>(subsets_.size()); }
   const Subset& operator[](std::ptrdiff_t i) const { return subsets_[i]; }
 
-  void load(const Subset& subset, Patch& patch) const {
-    const float mean = static_cast<float>(subset.mean);
-    const int size = 2 * grid_.half + 1;
-    for (int line = 0; line < size; ++line) {
-      const std::ptrdiff_t y = subset.y - grid_.half + line, x = subset.x - grid_.half;
-      const float *f = image_.row(y) + x, *fx = fx_.row(y) + x, *fy = fy_.row(y) + x;
-      const int start = line * size;
-      for (int k = 0; k < size; ++k) {
-        patch.f[start + k] = f[k] - mean;
-        patch.fx[start + k] = fx[k];
-        patch.fy[start + k] = fy[k];
-      }
-    }
+  Layout layout() const {
+    return {model_.size / 2, static_cast<int>(weight_.size()) / loops_.width, weight_.data()};
+  }
+
+  SubsetEquations equations(std::ptrdiff_t i) const {
+    const int p = model_.parameters();
+    const double* first = equations_.data() + i * equation_size();
+    return {first, first + p * p, first + p * p + p};
+  }
+
+  // The pixels around a subset's centre.
+  ReferencePixels pixels(const Subset& subset) const {
+    const auto at = [&](const PaddedImage& plane) { return plane.row(subset.y) + subset.x; };
+    return {at(f_), at(jx_), at(jy_), nullptr, nullptr, f_.stride()};
   }
 
  private:
-  void check_inside(std::ptrdiff_t i) const {
-    const std::ptrdiff_t x = subsets_[i].x, y = subsets_[i].y, half = grid_.half;
-    if (x >= half && y >= half && x + half < image_.cols() && y + half < image_.rows()) return;
-    throw std::invalid_argument("centre " + std::to_string(i) + " at (" + std::to_string(x) + ", " +
-                                std::to_string(y) + ") px: its subset of " + std::to_string(2 * half + 1) +
-                                " px leaves the reference image of " + std::to_string(image_.cols()) + " x " +
-                                std::to_string(image_.rows()) + " px");
+  static const SubsetModel& checked(const SubsetModel& model) {
+    if (model.size < 5 || model.size % 2 == 0)
+      throw std::invalid_argument("subset_size = " + std::to_string(model.size) +
+                                  " px: must be odd and at least 5");
+    if (model.order < 1 || model.order > kMaxOrder)
+      throw std::invalid_argument("order = " + std::to_string(model.order) + ": must be 1 or 2");
+    if (!(model.smoothing >= 0.0 && model.smoothing <= 5.0))
+      throw std::invalid_argument("smoothing = " + std::to_string(model.smoothing) + " px: must be 0 to 5");
+    return model;
   }
 
-  void prepare(Subset& subset, Patch& patch) const {
-    const int n = grid_.count;
-    subset.mean = 0.0;
-    load(subset, patch);
-    double sum = 0.0;
-    for (int i = 0; i < n; ++i) sum += patch.f[i];
-    subset.mean = sum / n;
-    load(subset, patch);
+  std::ptrdiff_t equation_size() const {
+    const std::ptrdiff_t p = model_.parameters();
+    return p * p + 2 * p;
+  }
 
-    Matrix6 normal{};
-    Vector6 scale{};
-    for (int i = 0; i < n; ++i) {
-      const double f = patch.f[i], fx = patch.fx[i], fy = patch.fy[i], xi = grid_.xi[i], eta = grid_.eta[i];
-      const Vector6 j = {fx, fx * xi, fx * eta, fy, fy * xi, fy * eta};
-      subset.power += f * f;
-      for (int a = 0; a < kParameterCount; ++a) {
-        subset.mean_j[a] += j[a];
-        subset.share_j[a] += j[a] * f;
-        for (int b = 0; b <= a; ++b) normal[a][b] += j[a] * j[b];
+  void prepare(std::ptrdiff_t i, double x, double y, const PaddedImage& dx, const PaddedImage& dy) {
+    Subset& subset = subsets_[i];
+    const double half = model_.size / 2, column = std::nearbyint(x), line = std::nearbyint(y);
+    if (!(column >= half && column + half <= static_cast<double>(f_.cols() - 1) && line >= half &&
+          line + half <= static_cast<double>(f_.rows() - 1)))  // NaN is not inside either
+      return;
+    subset.x = static_cast<std::int32_t>(column);
+    subset.y = static_cast<std::int32_t>(line);
+    subset.away_x = static_cast<float>(x - column);
+    subset.away_y = static_cast<float>(y - line);
+    subset.state = Subset::State::kSingular;
+
+    const Layout layout = this->layout();
+    const int n = layout.count(), p = model_.parameters(), monomials = p / 2;
+    ProductSums sums;
+    ReferencePixels pixels = this->pixels(subset);
+    pixels.dx = dx.row(subset.y) + subset.x;
+    pixels.dy = dy.row(subset.y) + subset.x;
+    loops_.product_sums(layout, pixels, model_.order, sums);
+    subset.mean = static_cast<float>(sums.f / n);
+    subset.power = sums.f_f;
+    if (!(subset.power > 0.0)) return;
+    StripProducts strips[kStrips];
+    loops_.strip_products(layout, pixels, static_cast<float>(subset.mean), strips);
+    for (int k = 0; k < kStrips; ++k) subset.strips[k] = Strip(strips[k]);
+
+    // Powers of xi and eta of each monomial.
+    constexpr int kXi[] = {0, 1, 0, 2, 1, 0}, kEta[] = {0, 0, 1, 0, 1, 2};
+    double* inverse = equations_.data() + i * equation_size();
+    double *mean_j = inverse + p * p, *share_j = mean_j + p;
+    std::array<double, kMaxParameters> mean_d{}, share_d{};
+    for (int m = 0; m < monomials; ++m) {
+      const int u = kXi[m], v = kEta[m];
+      mean_j[m] = sums.jx[v][u] / n;
+      mean_j[monomials + m] = sums.jy[v][u] / n;
+      share_j[m] = sums.jx_f[v][u] / subset.power;
+      share_j[monomials + m] = sums.jy_f[v][u] / subset.power;
+      mean_d[m] = sums.dx[v][u] / n;
+      mean_d[monomials + m] = sums.dy[v][u] / n;
+      share_d[m] = sums.dx_f[v][u] / subset.power;
+      share_d[monomials + m] = sums.dy_f[v][u] / subset.power;
+    }
+    Square jd, jj;
+    for (int a = 0; a < p; ++a)
+      for (int b = 0; b < p; ++b) {
+        const int m = a % monomials, k = b % monomials, u = kXi[m] + kXi[k], v = kEta[m] + kEta[k];
+        const bool y_first = a >= monomials, y_second = b >= monomials;
+        const auto& of_jd =
+            y_first ? (y_second ? sums.jy_dy : sums.jy_dx) : (y_second ? sums.jx_dy : sums.jx_dx);
+        const auto& of_jj = y_first != y_second ? sums.jx_jy : (y_first ? sums.jy_jy : sums.jx_jx);
+        jd[a * p + b] = of_jd[v][u] - n * mean_j[a] * mean_d[b] - subset.power * share_j[a] * share_d[b];
+        jj[a * p + b] = of_jj[v][u] - n * mean_j[a] * mean_j[b] - subset.power * share_j[a] * share_j[b];
       }
-    }
-    for (int a = 0; a < kParameterCount; ++a) {
-      subset.mean_j[a] /= n;
-      subset.share_j[a] /= subset.power;
-      scale[a] = 1.0 / std::sqrt(normal[a][a]);
-    }
-    for (int a = 0; a < kParameterCount; ++a)
-      for (int b = 0; b <= a; ++b)
-        normal[a][b] -=
-            n * subset.mean_j[a] * subset.mean_j[b] + subset.power * subset.share_j[a] * subset.share_j[b];
-    subset.invertible = invert_spd(normal, scale, subset.inverse);
+    const double j_j = noise_gain_.j_j() * n, j_d = noise_gain_.j_d() * n;
+    subset.noise_jj_u = static_cast<float>(j_j / jj[0]);
+    subset.noise_jj_v = static_cast<float>(j_j / jj[monomials * (p + 1)]);
+    subset.noise_jd_u = static_cast<float>(j_d / jd[0]);
+    subset.noise_jd_v = static_cast<float>(j_d / jd[monomials * (p + 1)]);
+    if (!invert(jd, p, inverse)) return;
+    subset.state = Subset::State::kUsable;
+
+    // Rows of the inverse that give the displacement of the point: with its powers as weights.
+    const double xi = subset.away_x, eta = subset.away_y;
+    const double powers[kMaxMonomials] = {1.0, xi, eta, xi * xi, xi * eta, eta * eta};
+    std::array<double, kMaxParameters> to_u{}, to_v{};
+    for (int m = 0; m < monomials; ++m)
+      for (int b = 0; b < p; ++b) {
+        to_u[b] += powers[m] * inverse[m * p + b];
+        to_v[b] += powers[m] * inverse[(monomials + m) * p + b];
+      }
+    for (int a = 0; a < p; ++a)
+      for (int b = 0; b < p; ++b) {
+        subset.uu += to_u[a] * jj[a * p + b] * to_u[b];
+        subset.uv += to_u[a] * jj[a * p + b] * to_v[b];
+        subset.vv += to_v[a] * jj[a * p + b] * to_v[b];
+      }
   }
 
-  SplineDegree spline_;
-  SubsetGrid grid_;
-  PaddedImage image_, fx_, fy_;
+  const Loops& loops_;
+  SubsetModel model_;
+  NoiseGain noise_gain_;
+  PaddedImage f_, jx_, jy_;
+  std::vector<float> weight_;
   std::vector<Subset> subsets_;
+  std::vector<double> equations_;
 };
 
 }  // namespace rgbd_dic

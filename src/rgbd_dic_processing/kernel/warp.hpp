@@ -1,65 +1,95 @@
-// The warp of a subset: a quadratic seed map composed with a local affine increment.
+// The warp of a subset: a quadratic seed map composed with a local increment.
 #pragma once
 
 #include <array>
 #include <cmath>
 
+#include "loops.hpp"
+
 namespace rgbd_dic {
 
-// Order of the parameters of the local affine increment, as everywhere in this kernel.
-enum Parameter { kU, kUx, kUy, kV, kVx, kVy, kParameterCount };
+// A polynomial in [1, xi, eta, xi^2, xi eta, eta^2], and x', y' as two of them.
+using Polynomial = std::array<double, kMaxMonomials>;
+using Quadratic = std::array<Polynomial, 2>;
 
-using Vector6 = std::array<double, kParameterCount>;
+constexpr int kDegreeOf[kMaxMonomials] = {0, 1, 1, 2, 2, 2};
 
-// x', y' as polynomials in [1, xi, eta, xi^2, xi eta, eta^2].
-using Quadratic = std::array<std::array<double, 6>, 2>;
+constexpr Quadratic kIdentity = {{{0, 1, 0, 0, 0, 0}, {0, 0, 1, 0, 0, 0}}};
 
-// The increment A: X = a[0] + a[1] xi + a[2] eta, Y = b[0] + b[1] xi + b[2] eta.
-struct Affine {
-  std::array<double, 3> a{0.0, 1.0, 0.0}, b{0.0, 0.0, 1.0};
+// The product of two polynomials without what is beyond second order.
+inline Polynomial truncated_product(const Polynomial& p, const Polynomial& q) {
+  return {p[0] * q[0],
+          p[0] * q[1] + p[1] * q[0],
+          p[0] * q[2] + p[2] * q[0],
+          p[0] * q[3] + p[3] * q[0] + p[1] * q[1],
+          p[0] * q[4] + p[4] * q[0] + p[1] * q[2] + p[2] * q[1],
+          p[0] * q[5] + p[5] * q[0] + p[2] * q[2]};
+}
 
-  // S o A, again a quadratic map.
-  Quadratic seeded(const Quadratic& seed) const {
-    Quadratic warp;
-    for (int axis = 0; axis < 2; ++axis) {
-      const auto& s = seed[axis];
-      warp[axis] = {
-          s[0] + s[1] * a[0] + s[2] * b[0] + s[3] * a[0] * a[0] + s[4] * a[0] * b[0] + s[5] * b[0] * b[0],
-          linear(s, 1),
-          linear(s, 2),
-          s[3] * a[1] * a[1] + s[4] * a[1] * b[1] + s[5] * b[1] * b[1],
-          2.0 * s[3] * a[1] * a[2] + s[4] * (a[1] * b[2] + a[2] * b[1]) + 2.0 * s[5] * b[1] * b[2],
-          s[3] * a[2] * a[2] + s[4] * a[2] * b[2] + s[5] * b[2] * b[2]};
+// outer o inner without what is beyond second order; exact if one of them is affine.
+inline Quadratic composed(const Quadratic& outer, const Quadratic& inner) {
+  const Polynomial& x = inner[0];
+  const Polynomial& y = inner[1];
+  const Polynomial xx = truncated_product(x, x), xy = truncated_product(x, y), yy = truncated_product(y, y);
+  Quadratic result;
+  for (int axis = 0; axis < 2; ++axis) {
+    const Polynomial& o = outer[axis];
+    for (int k = 0; k < kMaxMonomials; ++k)
+      result[axis][k] = o[1] * x[k] + o[2] * y[k] + o[3] * xx[k] + o[4] * xy[k] + o[5] * yy[k];
+    result[axis][0] += o[0];
+  }
+  return result;
+}
+
+inline double evaluated(const Polynomial& p, double xi, double eta) {
+  return p[0] + xi * (p[1] + xi * p[3] + eta * p[4]) + eta * (p[2] + eta * p[5]);
+}
+
+// The inverse of a map near the identity, without what is beyond second order. False if it has none that
+// keeps the orientation.
+inline bool inverted(const Quadratic& map, Quadratic& inverse) {
+  const double m11 = map[0][1], m12 = map[0][2], m21 = map[1][1], m22 = map[1][2];
+  const double determinant = m11 * m22 - m12 * m21;
+  if (!(determinant > 1e-3)) return false;
+  // Of the affine part: L^-1 (y - d).
+  const auto solved = [&](const Quadratic& y) {
+    Quadratic result;
+    for (int k = 0; k < kMaxMonomials; ++k) {
+      result[0][k] = (m22 * y[0][k] - m12 * y[1][k]) / determinant;
+      result[1][k] = (m11 * y[1][k] - m21 * y[0][k]) / determinant;
     }
-    return warp;
+    return result;
+  };
+  Quadratic shifted = kIdentity;
+  for (int axis = 0; axis < 2; ++axis) shifted[axis][0] = -map[axis][0];
+  const Quadratic affine = solved(shifted);
+  Quadratic bend = map;  // the quadratic part alone
+  bool bent = false;
+  for (Polynomial& p : bend) {
+    p[0] = p[1] = p[2] = 0.0;
+    bent |= p[3] != 0.0 || p[4] != 0.0 || p[5] != 0.0;
   }
+  inverse = affine;
+  if (!bent) return true;
+  // y = d + L x + Q(x), so x = L^-1 (y - d) - L^-1 Q(x), with the affine x in Q to this order.
+  const Quadratic correction = solved(composed(bend, affine));
+  for (int axis = 0; axis < 2; ++axis)
+    for (int k = 0; k < kMaxMonomials; ++k) inverse[axis][k] -= correction[axis][k];
+  return true;
+}
 
-  // A <- A o A(dp)^-1. False, and A unchanged, if A(dp) has no inverse that keeps the orientation.
-  bool compose_inverse(const Vector6& dp) {
-    const double m11 = 1.0 + dp[kUx], m12 = dp[kUy], m21 = dp[kVx], m22 = 1.0 + dp[kVy];
-    const double det = m11 * m22 - m12 * m21;
-    if (!(det > 1e-3)) return false;
-    const double x = -(m22 * dp[kU] - m12 * dp[kV]) / det, y = -(m11 * dp[kV] - m21 * dp[kU]) / det;
-    for (auto* line : {&a, &b}) {
-      const auto old = *line;
-      *line = {old[0] + old[1] * x + old[2] * y, (old[1] * m22 - old[2] * m21) / det,
-               (old[2] * m11 - old[1] * m12) / det};
+// False if the increment moves the centre farther than max_shift, px, on an axis, or stretches the subset of
+// half-width `half` by more than max_gradient, or is NaN.
+inline bool is_plausible(const Quadratic& increment, int half, double max_shift, double max_gradient) {
+  for (int axis = 0; axis < 2; ++axis) {
+    const Polynomial& p = increment[axis];
+    if (!(std::fabs(p[0]) <= max_shift)) return false;
+    for (int k = 1; k < kMaxMonomials; ++k) {
+      const double gradient = (p[k] - kIdentity[axis][k]) * (kDegreeOf[k] == 2 ? half : 1);
+      if (!(std::fabs(gradient) <= max_gradient)) return false;
     }
-    return true;
   }
-
-  // False if a shift, px, or a gradient exceeds its limit, or is NaN.
-  bool within(double max_shift, double max_gradient) const {
-    return std::fabs(a[0]) <= max_shift && std::fabs(b[0]) <= max_shift &&
-           std::fabs(a[1] - 1.0) <= max_gradient && std::fabs(a[2]) <= max_gradient &&
-           std::fabs(b[1]) <= max_gradient && std::fabs(b[2] - 1.0) <= max_gradient;
-  }
-
- private:
-  double linear(const std::array<double, 6>& s, int k) const {
-    return s[1] * a[k] + s[2] * b[k] + 2.0 * s[3] * a[0] * a[k] + s[4] * (a[0] * b[k] + a[k] * b[0]) +
-           2.0 * s[5] * b[0] * b[k];
-  }
-};
+  return true;
+}
 
 }  // namespace rgbd_dic

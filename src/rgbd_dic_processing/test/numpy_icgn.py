@@ -1,8 +1,8 @@
 """IC-GN of one subset in NumPy and SciPy, double precision: the slow twin that the kernel is held to.
 
-Written for clarity and along another path than the kernel: the eight-parameter least-squares problem is
-solved as it stands, affine maps are 3 x 3 matrices, the seed map is evaluated at the warped offsets, samples
-and gradients come from SciPy's splines.
+Written for clarity and along another path than the kernel: the eight-parameter problem is solved as it stands,
+affine maps are 3 x 3 matrices, the seed map is evaluated at the warped offsets, samples and gradients come from
+SciPy's splines, and what noise does to products of gradients from the gradients of an image of one bright pixel.
 """
 
 from __future__ import annotations
@@ -37,6 +37,22 @@ def gradient(image: np.ndarray, degree: int) -> tuple[np.ndarray, np.ndarray]:
     return along(1), along(0)
 
 
+def smoothed_gradient(image: np.ndarray, degree: int, smoothing_px: float) -> tuple[np.ndarray, np.ndarray]:
+    """The same of the image smoothed by a Gaussian."""
+    if smoothing_px > 0:
+        reach = int(np.ceil(4 * smoothing_px))
+        image = ndimage.gaussian_filter(image.astype(float), smoothing_px, mode="mirror", radius=reach)
+    return gradient(image, degree)
+
+
+def noise_in_products(degree: int, smoothing_px: float) -> tuple[float, float]:
+    """Variance that white noise of unit variance gives J squared, and covariance that it gives J and D, along x."""
+    impulse = np.zeros((101, 101))
+    impulse[50, 50] = 1
+    jx, dx = smoothed_gradient(impulse, degree, smoothing_px)[0], gradient(impulse, degree)[0]
+    return float(np.sum(jx * jx)), float(np.sum(jx * dx))
+
+
 def noise_gain(position: np.ndarray, degree: int) -> np.ndarray:
     """Variance of spline samples along one axis, if the pixels carry white noise of unit variance."""
     reach = 40
@@ -58,6 +74,7 @@ def correlate(
     degree: int = 5,
     max_iterations: int = 20,
     tolerance_px: float = 1e-4,
+    smoothing_px: float = 0.7,
 ) -> TwinResult:
     """One subset that converges; `seed` is (2, 6)."""
     half = subset_size // 2
@@ -66,13 +83,27 @@ def correlate(
     xi, eta = (grid.ravel() for grid in np.meshgrid(offsets, offsets))
     f = reference[window].astype(float).ravel()
     f = f - f.mean()
-    fx, fy = (derivative[window].ravel() for derivative in gradient(reference, degree))
-    design = np.stack([fx, fx * xi, fx * eta, fy, fy * xi, fy * eta, np.ones_like(f), f], axis=1)
+
+    def columns(gradients: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+        fx, fy = (derivative[window].ravel() for derivative in gradients)
+        return np.stack([fx, fx * xi, fx * eta, fy, fy * xi, fy * eta, np.ones_like(f), f], axis=1)
+
+    design = columns(gradient(reference, degree))
+    weights = columns(smoothed_gradient(reference, degree, smoothing_px))
+    inverse = np.linalg.inv(weights.T @ design)
     coefficients = ndimage.spline_filter(target.astype(float), order=degree, mode="mirror")
 
+    # Share of noise in the diagonals of J^T J and J^T D, J orthogonal to the constant and f, per noise variance.
+    nuisance = weights[:, 6:]
+    free = weights - nuisance @ np.linalg.lstsq(nuisance, weights)[0]
+    noise_jj, noise_jd = (
+        f.size * noise / np.diag(free.T @ other)[[0, 3]]
+        for noise, other in zip(noise_in_products(degree, smoothing_px), (free, design), strict=True)
+    )
+
     affine = np.eye(3)
-    iterations, converged = 0, False
-    while not converged:
+    iterations, left, relaxation, last_edge = 0, np.inf, 1.0, np.zeros(6)
+    while not left < tolerance_px:
         assert iterations < max_iterations, f"no convergence within {max_iterations} iterations"
         iterations += 1
         moved_xi, moved_eta, _ = affine @ np.stack([xi, eta, np.ones_like(xi)])
@@ -80,10 +111,19 @@ def correlate(
         g = ndimage.map_coordinates(coefficients, [y, x], order=degree, mode="mirror", prefilter=False)
         g = g - g.mean()
         residual = f - np.linalg.norm(f) / np.linalg.norm(g) * g
-        step = -np.linalg.lstsq(design, residual)[0][:6]
+        step = -(inverse @ weights.T @ residual)[:6]
+        edge = step * [1, half, half, 1, half, half]
+        if iterations > 1:
+            relaxation = np.clip(
+                -relaxation * (edge - last_edge) @ last_edge / np.sum((edge - last_edge) ** 2), 0.5, 2.5
+            )
+        step = relaxation * step
         increment = np.array([[1 + step[1], step[2], step[0]], [step[4], 1 + step[5], step[3]], [0, 0, 1]])
         affine = affine @ np.linalg.inv(increment)
-        converged = np.linalg.norm(step * [1, half, half, 1, half, half]) < tolerance_px
+        length = np.linalg.norm(edge)
+        rate = 0.1 if iterations == 1 else max(length / np.linalg.norm(last_edge), 0.02)
+        last_edge = edge
+        left = length * rate / (1 - rate) if rate < 0.5 and length < 20 * tolerance_px else np.inf
 
     def centre_at(shift: np.ndarray) -> np.ndarray:
         """Where the centre goes when the increment is preceded by a small shift."""
@@ -92,7 +132,9 @@ def correlate(
 
     gain = np.mean(noise_gain(x, degree) * noise_gain(y, degree))
     variance = residual @ residual / (f.size - 8) * 2 / (1 + gain)
-    covariance = variance * np.linalg.inv(design.T @ design)[np.ix_([0, 3], [0, 3])]
+    to_shift = inverse[[0, 3]] @ weights.T  # of the residual
+    factor = np.sqrt(1 - variance / 4 * noise_jj) / (1 - variance / 2 * noise_jd)
+    covariance = variance * (to_shift @ to_shift.T) * np.outer(factor, factor)
     nudge = 1e-4
     jacobian = np.stack([(centre_at(d) - centre_at(-d)) / (2 * nudge) for d in nudge * np.eye(2)], axis=1)
     sigma_x, sigma_y = np.sqrt(np.diag(jacobian @ covariance @ jacobian.T))

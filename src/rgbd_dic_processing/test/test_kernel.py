@@ -195,9 +195,49 @@ def test_without_the_quadratic_terms_perspective_biases(reference, warped, homog
     centres = grid(step=8)
     seeds = homography_seeds(homography, centres)
     seeds[:, :, 3:] = 0
-    subsets = ReferenceSubsets(reference, centres, CorrelationSettings())
+    subsets = ReferenceSubsets(reference, centres, CorrelationSettings(max_misfit_px=1))
     found = subsets.correlate(subsets.target(warped), seeds)
     assert abs(np.mean(found.x_px - seeds[:, 0, 0])) > 0.008
+
+
+def test_second_order_increments_follow_a_curved_surface(speckle, reference):
+    """A displacement u = x y / 2000, which no homography makes, and of which affine increments see the mean only.
+
+    The target is the pattern at the solution of x' = x + (x - cx)(y - cy) / 2000, found by fixed-point iteration.
+    """
+    x, y = pixels()
+    cx, cy = COLS / 2, ROWS / 2
+    source = x.copy()
+    for _ in range(60):
+        source = x - (source - cx) * (y - cy) / 2000
+    target = quantised(speckle(source, y))
+    centres = grid(step=10)
+    true_x = centres[:, 0] + (centres[:, 0] - cx) * (centres[:, 1] - cy) / 2000
+    seeds = identity_seeds(centres)
+    seeds[:, 0, 0] = true_x + 0.2
+    errors = {}
+    for order in (1, 2):
+        subsets = ReferenceSubsets(reference, centres, CorrelationSettings(increment_order=order, max_misfit_px=1))
+        found = subsets.correlate(subsets.target(target), seeds)
+        assert found.valid.all()
+        errors[order] = found.x_px - true_x
+        worst_ratio = np.std(errors[order] / found.sigma_x_px)
+        assert (worst_ratio < 1.1) == (order == 2)
+    assert errors[2].std() < 0.6 * errors[1].std()
+    assert abs(errors[2].mean()) < 3e-4
+
+
+def test_a_point_between_pixels_is_followed_exactly(reference, warped, homography):
+    """The subset is centred at the nearest pixel; where the point itself goes is what comes out."""
+    centres = grid(step=20) + np.random.default_rng(8).uniform(-0.5, 0.5, grid(step=20).shape)
+    subsets = ReferenceSubsets(reference, centres, CorrelationSettings())
+    found = subsets.correlate(subsets.target(warped), homography_seeds(homography, np.rint(centres)))
+    assert found.valid.all()
+    true_x, true_y = mapped(homography, *centres.T)
+    np.testing.assert_allclose(found.x_px, true_x, atol=5 * found.sigma_x_px.max())
+    np.testing.assert_allclose(found.y_px, true_y, atol=5 * found.sigma_y_px.max())
+    to_pixel = mapped(homography, *np.rint(centres).T)[0]
+    assert np.abs(found.x_px - to_pixel).max() > 0.4
 
 
 @pytest.mark.parametrize("shift", [(0.0, 0.0), (0.3, 0.6), (0.5, 0.5)])
@@ -256,8 +296,9 @@ def test_parity_with_the_numpy_twin(reference, warped, homography, degree, subse
     # hundreds of pixels of a subset most of that averages out.
     np.testing.assert_allclose(found.x_px, column["x_px"], rtol=0, atol=5e-7)
     np.testing.assert_allclose(found.y_px, column["y_px"], rtol=0, atol=5e-7)
-    np.testing.assert_allclose(found.sigma_x_px, column["sigma_x_px"], rtol=1e-4)
-    np.testing.assert_allclose(found.sigma_y_px, column["sigma_y_px"], rtol=1e-4)
+    # The kernel averages the noise gain of the samples over every third line only.
+    np.testing.assert_allclose(found.sigma_x_px, column["sigma_x_px"], rtol=2e-3)
+    np.testing.assert_allclose(found.sigma_y_px, column["sigma_y_px"], rtol=2e-3)
     np.testing.assert_allclose(found.zncc, column["zncc"], rtol=0, atol=1e-6)
 
 
@@ -286,6 +327,45 @@ def test_threads_do_not_change_a_bit(reference, warped, homography):
         for field in dataclasses.fields(other):
             one, two = getattr(results[0], field.name), getattr(other, field.name)
             assert one.tobytes() == two.tobytes(), field.name
+
+
+@pytest.mark.parametrize("degree", [3, 5])
+@pytest.mark.parametrize("angle_deg", [0, 6, 45, 90, 135, 180])
+def test_instruction_sets_agree(speckle, reference, degree, angle_deg):
+    """Each has its own way through the pixels, and each another one where the image is turned."""
+    angle, middle = np.deg2rad(angle_deg), np.array([COLS / 2, ROWS / 2])
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]) * 1.1
+    h = np.eye(3)
+    h[:2, :2], h[:2, 2] = turn, middle - turn @ middle + [0.3, 0.4]
+    turned = quantised(speckle(*mapped(np.linalg.inv(h), *pixels())))
+    centres = grid(step=20, margin=75)
+    results = []
+    try:
+        for name in _kernel.instruction_sets():
+            _kernel.use_instruction_set(name)
+            subsets = ReferenceSubsets(reference, centres, CorrelationSettings(spline_degree=degree))
+            results.append(subsets.correlate(subsets.target(turned), homography_seeds(h, centres)))
+    finally:
+        _kernel.use_instruction_set(_kernel.instruction_sets()[0])
+    assert results[0].valid.all()
+    for other in results[1:]:
+        np.testing.assert_array_equal(other.status, results[0].status)
+        np.testing.assert_allclose(other.x_px, results[0].x_px, atol=5e-7)
+        np.testing.assert_allclose(other.y_px, results[0].y_px, atol=5e-7)
+        np.testing.assert_allclose(other.sigma_x_px, results[0].sigma_x_px, rtol=1e-3)
+
+
+def test_only_what_subsets_can_reach_is_prefiltered_and_nothing_depends_on_it(reference, warped, homography):
+    centres = grid(step=10)
+    seeds = homography_seeds(homography, centres)
+    subsets = ReferenceSubsets(reference, centres, CorrelationSettings())
+    whole = subsets.correlate(subsets.target(warped), seeds)
+    few = np.array([0, 1])
+    part = subsets.correlate(subsets.target(warped), seeds, few)
+    np.testing.assert_allclose(part.x_px, whole.x_px[few], atol=1e-7)
+    target = subsets.target(warped)
+    for chosen in (few, np.array([len(centres) - 1]), np.arange(len(centres))):  # the filtered part grows
+        np.testing.assert_allclose(subsets.correlate(target, seeds, chosen).y_px, whole.y_px[chosen], atol=1e-7)
 
 
 def test_selected_subsets_are_the_same_as_in_the_whole(reference, warped, homography):
@@ -363,12 +443,58 @@ def test_low_correlation(reference):
     centres = grid(step=31)
     noisy = reference + np.random.default_rng(4).normal(0, reference.std(), reference.shape)
     found = status_of(reference, noisy, identity_seeds(centres), centres)
-    assert (found.status == SubsetStatus.LOW_CORRELATION).all()
+    assert np.isin(found.status, (SubsetStatus.LOW_CORRELATION, SubsetStatus.TORN)).all()
+    assert np.mean(found.status == SubsetStatus.LOW_CORRELATION) > 0.9
     assert found.zncc.mean() == pytest.approx(np.sqrt(0.5), abs=0.05)
     assert (status_of(reference, noisy, identity_seeds(centres), centres, min_zncc=0.1).status == 0).all()
     uniform = np.full_like(reference, 77)
     found = status_of(reference, uniform, identity_seeds(centres), centres)
     assert (found.status == SubsetStatus.LOW_CORRELATION).all() and np.isnan(found.zncc).all()
+
+
+def torn_image(speckle: Speckle, opening_px: float, edge_px: float) -> np.ndarray:
+    """The pattern with a dark crack from edge_px on, the right side moved by its opening."""
+    x, y = pixels()
+    right = np.where(x < edge_px + opening_px, 20, speckle(x - opening_px, y))
+    return quantised(np.where(x < edge_px, speckle(x, y), right))
+
+
+@pytest.mark.parametrize("opening_px", [0.2, 0.5, 1, 2, 4, 8])
+def test_subsets_across_a_crack_are_torn(speckle, reference, opening_px):
+    """Wherever the crack runs through the subset; those beside it are found."""
+    edge = 125.5
+    image = torn_image(speckle, opening_px, edge)
+
+    def found_at(columns):
+        centres = np.array([[column, line] for column in columns for line in range(35, 150, 5)])
+        shift = np.where(centres[:, 0] > edge, opening_px, 0)  # each expected with the side that its centre is on
+        return status_of(reference, image, identity_seeds(centres, np.stack([shift, 0 * shift], axis=1)), centres)
+
+    across = found_at(range(115, 138, 4))
+    assert np.mean(across.status == SubsetStatus.TORN) > 0.9
+    assert not across.valid.any()
+    assert found_at([109, 142]).valid.all()
+
+
+@pytest.mark.parametrize("covered_px", [4, 8, 12, 16, 20])
+@pytest.mark.parametrize("speckled", [False, True])
+def test_subsets_behind_an_object_are_torn(speckle, reference, covered_px, speckled):
+    x, y = pixels()
+    image = speckle(x - 0.3, y)
+    image[:, 141 - covered_px :] = Speckle(7)(x, y)[:, 141 - covered_px :] if speckled else 200
+    centres = np.array([[125, line] for line in range(35, 150, 5)])
+    found = status_of(reference, quantised(image), identity_seeds(centres, (0.2, 0)), centres)
+    assert np.mean(found.status == SubsetStatus.TORN) > 0.9
+    assert not found.valid.any()
+
+
+def test_noise_is_not_torn(speckle, reference):
+    """Strong noise, in both images, makes subsets uncertain, but does not tear them."""
+    random, centres = np.random.default_rng(6), grid(step=8)
+    images = [speckle(*pixels()) + random.normal(0, 10, (ROWS, COLS)) for _ in range(2)]
+    found = status_of(images[0], images[1], identity_seeds(centres), centres, min_zncc=0.5)
+    assert not (found.status == SubsetStatus.TORN).any()
+    assert found.valid.mean() > 0.99
 
 
 def test_unrelated_image_gives_nothing(reference):
@@ -401,10 +527,14 @@ def test_diverged_not_converged_and_skipped(reference):
 # Errors
 
 
-def test_subset_that_leaves_the_reference_is_named(reference):
-    centres = [[100, 100], [100, 14], [0, 0]]
-    with pytest.raises(ImageError, match=rf"centre 1 at \(100, 14\).*31 px.*{COLS} x {ROWS} px"):
-        ReferenceSubsets(reference, centres, CorrelationSettings())
+def test_subset_that_leaves_the_reference_is_not_found(reference):
+    outside = [[100, 14.4], [0, 0], [np.nan, 50], [100, 2**40], [COLS - 15.4, 100], [-1e300, np.inf]]
+    centres = np.array([[100, 100], [100, 14.6], [COLS - 15.6, 100], *outside])
+    seeds = identity_seeds(np.rint(np.where(np.abs(centres) < 1000, centres, 100)))
+    found = status_of(reference, reference, seeds, centres)
+    assert found.status[0] == SubsetStatus.CONVERGED
+    assert (found.status[1:3] == SubsetStatus.CONVERGED).all()
+    assert (found.status[3:] == SubsetStatus.OUTSIDE_IMAGE).all()
 
 
 @pytest.mark.parametrize(
@@ -415,9 +545,6 @@ def test_subset_that_leaves_the_reference_is_named(reference):
         (np.where(np.eye(50), np.nan, 1), [[25, 25]], r"pixel \(0, 0\) is not a finite"),
         (np.zeros((50, 5), np.uint8), [[25, 2]], "at least 8"),
         (np.zeros((50, 50), np.uint8), [25, 25], r"\(N, 2\)"),
-        (np.zeros((50, 50), np.uint8), [[25, 25.5]], "whole pixels"),
-        (np.zeros((50, 50), np.uint8), [[25, np.nan]], "whole pixels"),
-        (np.zeros((50, 50), np.uint8), [[25, 2**31]], "leaves the reference image"),
     ],
 )
 def test_bad_reference_is_refused(image, centres, message):
@@ -441,7 +568,7 @@ def test_bad_seeds_and_indices_are_refused(reference):
 
 
 def test_kernel_checks_what_it_is_given(reference):
-    centres = grid(step=31)
+    centres = grid(step=31).astype(float)
     kernel_reference, target = _kernel.Reference(reference, centres, 31, 5), _kernel.Target(reference, 5)
     seeds = identity_seeds(centres)
     for call, error, message in [
@@ -449,9 +576,9 @@ def test_kernel_checks_what_it_is_given(reference):
         (lambda: _kernel.Target(reference[:, ::2], 5), ValueError, "contiguous"),
         (lambda: _kernel.Target(reference, 4), ValueError, "degree = 4"),
         (
-            lambda: _kernel.Reference(reference, centres.astype(int), 31, 5),
+            lambda: _kernel.Reference(reference, centres.astype(np.int32), 31, 5),
             TypeError,
-            "centres: expected int32",
+            "centres: expected float64",
         ),
         (
             lambda: _kernel.Reference(reference, centres, 30, 5),
@@ -489,6 +616,9 @@ def test_kernel_checks_what_it_is_given(reference):
             ValueError,
             "max_iterations = 256",
         ),
+        (lambda: _kernel.Reference(reference, centres, 31, 5, order=3), ValueError, "order = 3"),
+        (lambda: _kernel.Reference(reference, centres, 31, 5, smoothing=np.nan), ValueError, "smoothing = nan"),
+        (lambda: _kernel.use_instruction_set("mmx"), ValueError, "'mmx': this processor has .*baseline"),
     ]:
         with pytest.raises(error, match=message):
             call()

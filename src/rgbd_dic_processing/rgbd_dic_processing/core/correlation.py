@@ -1,8 +1,8 @@
 """Subset-based DIC: where each subset of the reference lies in another image.
 
-The warp of a subset is x' = S(A(xi)): xi is the offset from the subset's integer centre, A(xi) = (xi + u +
-u_x xi + u_y eta, eta + v + v_x xi + v_y eta) the affine increment that IC-GN solves for, and S the seed, a
-quadratic map from offsets to raw pixels of the target that the caller predicts. The criterion is the ZNSSD.
+The warp of a subset is x' = S(A(xi)): xi is the offset from the subset's central pixel, A(xi) = (xi + u + u_x xi +
+u_y eta, eta + v + v_x xi + v_y eta), with second-order terms if asked for, the increment that IC-GN solves for, and S
+the seed, a quadratic map from offsets to raw pixels of the target that the caller predicts. The criterion is the ZNSSD.
 """
 
 from __future__ import annotations
@@ -19,6 +19,8 @@ from rgbd_dic_acquisition.settings import Settings, setting
 
 from rgbd_dic_processing import _kernel
 
+Array = NDArray[np.float64]
+
 
 class SubsetStatus(enum.IntEnum):
     """What became of one subset; the numbers are those of rgbd_dic_msgs/msg/SubsetStatus.msg."""
@@ -29,13 +31,15 @@ class SubsetStatus(enum.IntEnum):
     LOW_CORRELATION = 2
     """Its ZNCC is below the limit, or the target is uniform there."""
     OUTSIDE_IMAGE = 3
-    """A pixel of the subset, warped, leaves the image."""
+    """A pixel of the subset, warped, leaves the image; or the subset leaves the reference, or its centre is NaN."""
     LOW_TEXTURE = 4
     """The reference subset has too little contrast, or its texture leaves a parameter undetermined."""
     DIVERGED = 5
     """The increment became implausible: a shift beyond max_shift_px or a gradient beyond 0.5."""
     SKIPPED = 6
     """Its seed holds NaN."""
+    TORN = 7
+    """One part of it matches and another does not, or moved differently: a crack, or something in front of it."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,15 +49,24 @@ class CorrelationSettings(Settings):
     subset_size: int = setting(31, unit="px", low=9, high=201, doc="Side of the square subsets; odd.")
     step: int = setting(10, unit="px", low=1, high=1000, doc="Distance between the centres of the grid.")
     spline_degree: int = setting(5, low=3, high=5, doc="Degree of the interpolating B-spline: 3 or 5.")
+    gradient_smoothing_px: float = setting(
+        0.7, unit="px", low=0.0, high=5.0, doc="Gaussian that smooths the gradients that weigh the residuals; 0: none."
+    )
+    increment_order: int = setting(
+        1, low=1, high=2, doc="Order of the increment on top of the predicted warp: 1 affine, 2 for curved surfaces."
+    )
     max_iterations: int = setting(20, low=1, high=255, doc="Iterations after which a subset is given up.")
     tolerance_px: float = setting(
-        1e-4, unit="px", low=1e-6, high=0.1, doc="Converged when the increment moves no edge by more."
+        1e-4, unit="px", low=1e-6, high=0.1, doc="Converged when no edge is expected to move by more any further."
     )
     min_zncc: float = setting(0.8, low=-1.0, high=1.0, doc="Lowest correlation coefficient of a valid subset.")
     min_contrast: float = setting(
         2.0, unit="grey levels", low=0.0, doc="Lowest standard deviation of the reference subset's pixels."
     )
     max_shift_px: float = setting(10.0, unit="px", low=0.1, high=1000.0, doc="Longest way from the seed, per axis.")
+    max_misfit_px: float = setting(
+        0.02, unit="px", low=0.001, doc="A subset is torn if a strip of it moved by more (and by 6 sigma) otherwise."
+    )
     threads: int = setting(0, low=0, high=1024, doc="Threads; 0 for all cores. Results do not depend on it.")
 
     def __post_init__(self) -> None:
@@ -72,7 +85,7 @@ class Correlation:
     """
 
     x_px: NDArray[np.float64]
-    """(M,) px, column of the subset's centre in the target image."""
+    """(M,) px, column of the subset's point in the target image."""
     y_px: NDArray[np.float64]
     """(M,) px, its row."""
     sigma_x_px: NDArray[np.float32]
@@ -105,7 +118,7 @@ class Target:
 
     def __init__(self, image: NDArray, settings: CorrelationSettings) -> None:
         with _kernel_errors():
-            self.spline = _kernel.Target(_pixels(image), settings.spline_degree, settings.threads)
+            self.spline = _kernel.Target(_pixels(image), settings.spline_degree)
 
 
 class ReferenceSubsets:
@@ -116,27 +129,25 @@ class ReferenceSubsets:
 
         Args:
             image: (rows, cols) grey values, of any integer or float type.
-            centres_px: (N, 2) x, y of the subsets' centres; whole pixels.
+            centres_px: (N, 2) x, y of the points to be followed; each subset is centred at the pixel nearest to it.
+                A subset that leaves the image, or NaN, is never found: its status is OUTSIDE_IMAGE.
             settings: of the correlation.
 
         Raises:
-            ImageError: if the image cannot be used or a subset leaves it, naming the first.
+            ImageError: if the image or the centres cannot be used.
         """
-        centres = np.asarray(centres_px)
-        if centres.ndim != 2 or centres.shape[1] != 2:
-            raise ImageError(f"centres_px: expected shape (N, 2), got {centres.shape}")
-        whole = np.rint(centres)
-        if not np.array_equal(whole, centres):  # NaN differs from itself, so it is refused too
-            i = int(np.flatnonzero((whole != centres).any(axis=1))[0])
-            raise ImageError(f"centres_px[{i}] = {centres[i].tolist()}: subset centres must be whole pixels")
         self.settings = settings
-        self.centres_px: NDArray[np.int32] = np.clip(whole, -(2**31), 2**31 - 1).astype(np.int32)
+        self.centres_px: Array = np.array(centres_px, dtype=np.float64)
+        if self.centres_px.ndim != 2 or self.centres_px.shape[1] != 2:
+            raise ImageError(f"centres_px: expected shape (N, 2), got {self.centres_px.shape}")
         with _kernel_errors():
             self._reference = _kernel.Reference(
                 _pixels(image),
                 self.centres_px,
                 settings.subset_size,
                 settings.spline_degree,
+                settings.increment_order,
+                settings.gradient_smoothing_px,
                 settings.threads,
             )
 
@@ -173,6 +184,7 @@ class ReferenceSubsets:
             min_zncc=settings.min_zncc,
             min_contrast=settings.min_contrast,
             max_shift_px=settings.max_shift_px,
+            max_misfit_px=settings.max_misfit_px,
             threads=settings.threads,
         )
         return Correlation(*columns)

@@ -1,0 +1,126 @@
+// The loops in which the time goes, compiled once for each instruction set (loops_for_isa.cpp) and chosen at
+// run time.
+#pragma once
+
+#include <cstddef>
+#include <vector>
+
+namespace rgbd_dic {
+
+// Pixels of the image processed side by side need this many values beyond the last one to be readable.
+constexpr int kReadAhead = 40;
+
+constexpr int kMaxOrder = 2;      // of the local increment: 1 affine, 2 quadratic
+constexpr int kMaxMonomials = 6;  // 1, xi, eta, xi^2, xi eta, eta^2
+constexpr int kMaxParameters = 2 * kMaxMonomials;
+constexpr int monomial_count(int order) { return order == 1 ? 3 : 6; }
+
+// The pixels of a subset of half-width `half`, px, held in columns of `width` pixels beside each other (that
+// of Loops; the last column may stick out of the subset), row by row within a column.
+struct Layout {
+  int half, columns;
+  const float* weight;  // columns x width: 1 inside of the subset, 0 beyond
+
+  int size() const { return 2 * half + 1; }
+  int count() const { return size() * size(); }
+};
+
+// One pixel of each plane that the reference has: its grey values f and the steepest-descent gradient j, and,
+// while it is prepared, the spline's gradient d; gradients in grey levels per px. All have the same stride.
+struct ReferencePixels {
+  const float *f, *jx, *jy, *dx, *dy;
+  std::ptrdiff_t stride;
+};
+
+// Sums over a subset for its normal equations: of products times xi^p eta^q, [q][p], and of f, f^2.
+struct ProductSums {
+  double f, f_f;
+  double jx[3][3], jy[3][3], dx[3][3], dy[3][3];
+  double jx_f[3][3], jy_f[3][3], dx_f[3][3], dy_f[3][3];
+  double jx_dx[5][5], jx_dy[5][5], jy_dx[5][5], jy_dy[5][5];
+  double jx_jx[5][5], jx_jy[5][5], jy_jy[5][5];
+};
+
+// The B-spline coefficients around a subset. Positions are relative to `origin`, a pixel; `low` and `high`
+// are the least and the greatest ones allowed.
+struct SplinePixels {
+  const float* origin;
+  std::ptrdiff_t stride;
+  float low_x, high_x, low_y, high_y;
+};
+
+// x' and y' as polynomials in [1, xi, eta, xi^2, xi eta, eta^2], relative to SplinePixels::origin.
+struct LocalWarp {
+  float x[kMaxMonomials], y[kMaxMonomials];
+};
+
+struct Moments {
+  float mean, power;  // power: sum of squared deviations from the mean
+};
+
+// Sums over the subset of the residual r times itself, f, 1 and the columns of J.
+struct ResidualSums {
+  float r_r, r_f, r_1, r_j[kMaxParameters];
+};
+
+// The strips that a subset is judged by: four upright ones, left to right, then four level ones, top to
+// bottom.
+constexpr int kStrips = 8;
+inline int strip_start(int strip, int size) { return strip % 4 * size / 4; }  // its first column or line
+inline int strip_end(int strip, int size) { return (strip % 4 + 1) * size / 4; }
+
+// Sums over a strip.
+struct StripProducts {
+  float count, f, f_f, jx_dx, jx_dy, jy_dx, jy_dy;
+};
+struct StripResidual {
+  float r_r, r_jx, r_jy;
+};
+struct StripSamples {
+  float g, g_g, f_g;
+};
+
+struct Loops {
+  const char* name;
+  int width;
+
+  // Samples the target into g; false if a position is not within the limits. For degree 3, and 5.
+  bool (*sample_cubic)(const Layout&, const SplinePixels&, const LocalWarp&, float* g);
+  bool (*sample_quintic)(const Layout&, const SplinePixels&, const LocalWarp&, float* g);
+
+  Moments (*moments)(const Layout&, const float* g);
+
+  // r = f - mean_f - scale (g - mean_g).
+  void (*residual_sums)(const Layout&, const ReferencePixels&, float mean_f, const float* g, float mean_g,
+                        float scale, int order, ResidualSums&);
+  void (*strip_residuals)(const Layout&, const ReferencePixels&, float mean_f, const float* g, float mean_g,
+                          float scale, StripResidual (&)[kStrips]);
+
+  // Of f - mean_f and g - mean_g.
+  void (*strip_samples)(const Layout&, const ReferencePixels&, float mean_f, const float* g, float mean_g,
+                        StripSamples (&)[kStrips]);
+
+  void (*product_sums)(const Layout&, const ReferencePixels&, int order, ProductSums&);
+  void (*strip_products)(const Layout&, const ReferencePixels&, float mean_f, StripProducts (&)[kStrips]);
+
+  // Mean over the subset of gain(x) gain(y), each a polynomial of four coefficients in (t - 1/2)^2, where t
+  // is the fraction of a coordinate.
+  float (*mean_gain)(const Layout&, const LocalWarp&, const float (&gain)[4]);
+
+  // Recursive filter along `count` values of `lanes` lines, in place; value k of line l is data[k * step +
+  // l].
+  void (*filter_lines)(float* data, std::ptrdiff_t count, std::ptrdiff_t step, int lanes, int pole_count,
+                       const double* poles);
+
+  // out[i] = sum over k of weights[k] lines[k][i], i < count.
+  void (*weighted_sum)(const float* const* lines, const float* weights, int terms, std::ptrdiff_t count,
+                       float* out);
+};
+
+// Lines that are filtered side by side, so that the recursion along them runs on vectors across them.
+constexpr int kFilterLanes = 32;
+
+// Those that this processor can run, the fastest first.
+const std::vector<const Loops*>& available_loops();
+
+}  // namespace rgbd_dic
