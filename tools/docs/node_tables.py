@@ -24,7 +24,10 @@ ACQUISITION = ("camera_node", "tof_node", "mavlink_node", "recorder_node", "play
 PROCESSING = ("pairing_node", "plane_node", "dic_node", "compensation_node", "crack_opening_node")
 COMMON_TOPICS = {"/diagnostics", "/rosout", "/parameter_events"}
 COMMON_PARAMETERS = {"use_sim_time", "start_type_description_service"}
-SERVICES = {"~/set_reference": "takes the next good image as the new reference"}
+SERVICES = {
+    "~/set_reference": "takes the next good image as the new reference, from which displacements count anew",
+    "~/renew_keyframe": "follows the subsets from the next good image on; displacements count from where they did",
+}
 OPTIONAL = {"tof_node": {"/tf_static": ("tf2_msgs/TFMessage", "reliable, latched")}}  # needs tf2_msgs, not always there
 SELDOM = {
     "tof/points": "with `use_points`, in place of `tof/depth/...`",

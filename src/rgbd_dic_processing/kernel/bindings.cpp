@@ -9,6 +9,7 @@
 #include <limits>
 #include <memory>
 #include <optional>
+#include <sstream>
 #include <string>
 #include <utility>
 #include <vector>
@@ -41,8 +42,22 @@ const Value* checked(const py::array& array, const char* name, const std::vector
   if (!(array.flags() & py::array::c_style))
     throw py::value_error(std::string(name) + ": must be C-contiguous; pass numpy.ascontiguousarray(" + name +
                           ")");
+  if (!(array.flags() & py::detail::npy_api::NPY_ARRAY_ALIGNED_))
+    throw py::value_error(std::string(name) + ": is not aligned in memory; pass a copy");
   return static_cast<const Value*>(array.data());
 }
+
+constexpr double kInfinity = std::numeric_limits<double>::infinity();
+
+template <class Value>
+Value checked(Value value, const char* name, Value low, Value high) {
+  if (value >= low && value <= high) return value;  // NaN is not
+  std::ostringstream message;
+  message << name << " = " << value << ": must be " << low << " to " << high;
+  throw py::value_error(message.str());
+}
+
+int checked_threads(int threads) { return resolve_threads(checked(threads, "threads", 0, kMaxThreads)); }
 
 Image to_image(const py::array& image) {
   constexpr const char* kExpected = "uint8 or float32 of shape (rows, cols)";
@@ -88,10 +103,11 @@ std::unique_ptr<Reference> make_reference(const py::array& image, const py::arra
   const Image pixels = to_image(image);
   const auto* xy = checked<double>(centres, "centres", {-1, 2}, "float64 of shape (N, 2)");
   const py::ssize_t count = centres.shape(0);
+  const Loops& loops = *chosen_loops();
+  threads = checked_threads(threads);
   const py::gil_scoped_release unlocked;
-  return std::make_unique<Reference>(*chosen_loops(), pixels, xy, count,
-                                     SubsetModel{subset_size, degree, order, smoothing},
-                                     resolve_threads(threads));
+  return std::make_unique<Reference>(loops, pixels, xy, count,
+                                     SubsetModel{subset_size, degree, order, smoothing}, threads);
 }
 
 std::unique_ptr<SplineImage> make_target(const py::array& image, int degree) {
@@ -142,8 +158,13 @@ py::tuple correlate(const Reference& reference, SplineImage& target, const py::a
     throw py::value_error("the reference was made with B-spline degree " +
                           std::to_string(reference.model().degree) + ", the target with " +
                           std::to_string(target.degree()));
-  if (max_iterations < 1 || max_iterations > 255)
-    throw py::value_error("max_iterations = " + std::to_string(max_iterations) + ": must be 1 to 255");
+  const Limits limits{checked(max_iterations, "max_iterations", 1, 255),
+                      checked(tolerance_px, "tolerance_px", 1e-9, 1.0),
+                      checked(min_zncc, "min_zncc", -1.0, 1.0),
+                      checked(min_contrast, "min_contrast", 0.0, kInfinity),
+                      checked(max_shift_px, "max_shift_px", 0.0, 1e6),
+                      checked(max_misfit_px, "max_misfit_px", 0.0, kInfinity)};
+  threads = checked_threads(threads);
   const std::int32_t* selected = checked_indices(indices, reference.size());
   const py::ssize_t count = indices ? indices->size() : reference.size();
   const std::string expected =
@@ -169,8 +190,7 @@ py::tuple correlate(const Reference& reference, SplineImage& target, const py::a
   };
   {
     const py::gil_scoped_release unlocked;
-    const Limits limits{max_iterations, tolerance_px, min_zncc, min_contrast, max_shift_px, max_misfit_px};
-    correlate_subsets(reference, target, selected, maps, count, limits, resolve_threads(threads), store);
+    correlate_subsets(reference, target, selected, maps, count, limits, threads, store);
   }
   return py::make_tuple(x, y, sigma_x, sigma_y, zncc, iterations, status);
 }
@@ -205,7 +225,7 @@ PYBIND11_MODULE(_kernel, module) {
   module.def("correlate", &correlate, arg("reference"), arg("target"), arg("seeds"),
              arg("indices") = py::none(), arg("max_iterations") = 20, arg("tolerance_px") = 1e-4,
              arg("min_zncc") = 0.8, arg("min_contrast") = 2.0, arg("max_shift_px") = 10.0,
-             arg("max_misfit_px") = 0.02, arg("threads") = 0,
+             arg("max_misfit_px") = 0.5, arg("threads") = 0,
              "Correlates all subsets (M = N), or those of indices, int32 (M,), from seeds, float64 (N, 2, "
              "6). Returns x, y (float64, px), sigma_x, sigma_y (float32, px), zncc (float32), iterations, "
              "status (uint8), each (M,).");

@@ -16,6 +16,7 @@
 #include <limits>
 #include <memory>
 #include <new>
+#include <utility>
 #include <vector>
 
 #include "loops.hpp"
@@ -44,11 +45,10 @@ struct Limits {
   double min_zncc;
   double min_contrast;   // standard deviation of the reference subset, grey levels
   double max_shift_px;   // on |u| and |v|
-  double max_misfit_px;  // on the displacement of a strip of the subset against the whole
+  double max_misfit_px;  // on what a quadratic leaves of displacements in the subset, RMS
 };
 
-constexpr double kMaxGradient = 0.5;         // on the gradients of the increment
-constexpr double kMinTargetContrast = 1e-3;  // grey levels; below it the target is uniform but for rounding
+constexpr double kMaxGradient = 0.5;  // on the gradients of the increment
 
 // The error shrinks at each step by a factor that falls as the solution comes near. It is estimated from two
 // steps, taken as at least kLeastRate, and as kFirstRate when there was but one step.
@@ -56,6 +56,10 @@ constexpr double kFirstRate = 0.1, kLeastRate = 0.02;
 // The last step is at most this times the tolerance, so that the residual before it tells of the one after
 // it.
 constexpr double kMaxLastStep = 20.0;
+
+// A subset with so low a ZNCC after that many iterations is given up: it is not there.
+constexpr double kHopeless = 0.3;
+constexpr int kMostHopeless = 6;
 
 struct SubsetResult {
   double x = std::numeric_limits<double>::quiet_NaN();  // the point in the target, px
@@ -112,10 +116,11 @@ class SubsetMatch {
     std::array<double, kMaxParameters> last_edge{};
     while (result_.iterations < limits_.max_iterations) {
       ++result_.iterations;
+      if (result_.iterations > kMostHopeless && result_.zncc < kHopeless)
+        return failed(SubsetStatus::kNotConverged, seed);
       if (!sample(composed(seed, increment))) return ended(SubsetStatus::kOutsideImage);
       const Moments g = loops_.moments(layout_, g_);
-      if (!(g.power > n * kMinTargetContrast * kMinTargetContrast))
-        return ended(SubsetStatus::kLowCorrelation);
+      if (is_uniform(g.mean, g.power, n)) return ended(SubsetStatus::kLowCorrelation);
       mean_g_ = g.mean;
       scale_ = static_cast<float>(std::sqrt(subset_->power / g.power));
       ResidualSums sums;
@@ -189,14 +194,16 @@ class SubsetMatch {
     // sampling between pixels weakens the target's share of the residual, but not what it does to the
     // parameters, which depend on low frequencies only.
     const double gain = loops_.mean_gain(layout_, local_, reference_.noise_gain().sample());
-    const double variance =
-        r_r / (layout_.count() - reference_.model().parameters() - 2) * 2.0 / (1.0 + gain);
-    if (is_torn(variance)) return ended(SubsetStatus::kTorn);
+    const double strength = 2.0 / (1.0 + gain);
+    const double variance = strength * r_r / (layout_.count() - reference_.model().parameters() - 2);
+    const Misfit misfit = this->misfit(strength);
+    if (misfit.torn) return ended(SubsetStatus::kTorn);
 
     const double u = noise_factor(0.5 * variance, subset_->noise_jj_u, subset_->noise_jd_u);
     const double v = noise_factor(0.5 * variance, subset_->noise_jj_v, subset_->noise_jd_v);
-    const double uu = variance * u * u * subset_->uu, uv = variance * u * v * subset_->uv,
-                 vv = variance * v * v * subset_->vv;
+    const double uu = variance * u * u * subset_->uu + misfit.bias_u * misfit.bias_u + misfit.variance;
+    const double uv = variance * u * v * subset_->uv + misfit.bias_u * misfit.bias_v;
+    const double vv = variance * v * v * subset_->vv + misfit.bias_v * misfit.bias_v + misfit.variance;
     const double xi = subset_->away_x, eta = subset_->away_y;
     const auto sigma = [&](const Polynomial& w) {  // through the Jacobian of the whole warp
       const double along_xi = w[1] + 2.0 * w[3] * xi + w[4] * eta,
@@ -219,30 +226,108 @@ class SubsetMatch {
            (1.0 - std::min(noise_variance * jd, 0.5));
   }
 
-  // Whether a strip of a subset that came to rest is displaced against the whole by more than max_misfit_px
-  // and its noise, or is far less like the reference than another: a crack, or the border of something in
-  // front.
-  bool is_torn(double variance) const {
-    constexpr double kSigmas = 6.0, kUnlike = 0.1 /* 1 - ZNCC */,
-                     kUneven = 4.0 /* between residual variances */;
-    StripResidual residuals[kStrips];
-    loops_.strip_residuals(layout_, pixels_, static_cast<float>(subset_->mean), g_, mean_g_, scale_,
+  // How the parts of a subset that came to rest are displaced against the whole.
+  struct Misfit {
+    bool torn = false;
+    double bias_u = 0.0, bias_v = 0.0;  // of the point, for want of second-order terms, px
+    double variance = 0.0;              // of the point, for what a quadratic displacement leaves, px^2
+  };
+
+  // A subset is torn, by a crack or the border of something in front, if a strip of it is far less like the
+  // reference than another, or if letting its blocks move each by itself explains much more of the residual
+  // than noise and a quadratic displacement would, by more than max_misfit_px; less than that adds to the
+  // uncertainty, as does the bias of an affine fit to a quadratic displacement. Blocks are weighed by their
+  // texture: with s = J^T r and N = J^T D of a block, it moves by N^-1 s, which takes s^T N^-1 s off the
+  // residual's power. `strength` is the noise's variance per variance of the residual.
+  Misfit misfit(double strength) const {
+    constexpr double kUnlike = 0.1 /* 1 - ZNCC */, kUneven = 4.0 /* between residual variances */;
+    constexpr double kSignificant = 2.0;  // ratio of variances; hardly ever by chance
+    BlockResidual residuals[kBlocks];
+    loops_.block_residuals(layout_, pixels_, static_cast<float>(subset_->mean), g_, mean_g_, scale_,
                            residuals);
-    double least = std::numeric_limits<double>::infinity();
-    for (int k = 0; k < kStrips; ++k)
-      least = std::min<double>(least, residuals[k].r_r / subset_->strips[k].count);
-    const double sigma = std::sqrt(4.0 * variance * std::max(subset_->uu, subset_->vv));
-    const double limit = std::max(limits_.max_misfit_px, kSigmas * sigma);
-    for (int k = 0; k < kStrips; ++k) {
-      const Strip& strip = subset_->strips[k];
-      const StripResidual& r = residuals[k];
-      if (r.r_r > 2.0 * kUnlike * strip.f_f && r.r_r > kUneven * least * strip.count) return true;
-      const auto& inverse = strip.inverse;
-      if (std::fabs(inverse[0][0] * r.r_jx + inverse[0][1] * r.r_jy) > limit ||
-          std::fabs(inverse[1][0] * r.r_jx + inverse[1][1] * r.r_jy) > limit)
-        return true;
+    Misfit result;
+
+    std::array<double, 2 * kSide> r_r{}, f_f{}, count{};  // of the strips
+    double power = 0.0, explained = 0.0, texture = 0.0;
+    int free = 0;
+    for (int k = 0; k < kBlocks; ++k) {
+      const BlockProducts& block = subset_->blocks[k];
+      const BlockResidual& r = residuals[k];
+      for (const int strip : {k / kSide, kSide + k % kSide}) {
+        r_r[strip] += r.r_r;
+        f_f[strip] += block.f_f;
+        count[strip] += block.count;
+      }
+      power += r.r_r;
+      const double determinant =
+          static_cast<double>(block.jx_dx) * block.jy_dy - static_cast<double>(block.jx_dy) * block.jy_dx;
+      if (!(determinant > 0.05 * block.jx_dx * block.jy_dy)) continue;  // says little across its texture
+      explained += (block.jy_dy * r.r_jx * r.r_jx - (block.jx_dy + block.jy_dx) * r.r_jx * r.r_jy +
+                    block.jx_dx * r.r_jy * r.r_jy) /
+                   determinant;
+      texture += 0.5 * (block.jx_dx + block.jy_dy);
+      free += 2;
     }
-    return false;
+    double least = std::numeric_limits<double>::infinity();
+    for (int strip = 0; strip < 2 * kSide; ++strip) least = std::min(least, r_r[strip] / count[strip]);
+    for (int strip = 0; strip < 2 * kSide; ++strip)
+      result.torn |= r_r[strip] > 2.0 * kUnlike * f_f[strip] && r_r[strip] > kUneven * least * count[strip];
+
+    constexpr int kParameters = kMaxParameters;
+    const int left = layout_.count() - free - 2;
+    if (result.torn || free <= kParameters || left < free) return result;
+    const double noise = strength * (power - explained) / left;
+    if (!(explained > kSignificant * noise * free)) return result;
+
+    const std::array<double, kParameters> bend = quadratic_displacement(residuals, explained);
+    result.bias_u = bend[0];
+    result.bias_v = bend[kMaxMonomials];
+    if (explained > kSignificant * noise * (free - kParameters)) {
+      // A step of 1 px through the middle moves the centre by 0.5 px and leaves 0.22 px.
+      constexpr double kStep = 0.5 / 0.22;
+      const double unexplained = explained / texture;
+      result.torn = unexplained > limits_.max_misfit_px * limits_.max_misfit_px;
+      result.variance = kStep * kStep * unexplained;
+    }
+    return result;
+  }
+
+  // The quadratic displacement, in [1, xi, eta, xi^2, xi eta, eta^2] / half^degree for u, then v, that
+  // explains most of the block residuals; what it explains is taken off `explained`. Zero if it is not
+  // determined.
+  std::array<double, kMaxParameters> quadratic_displacement(const BlockResidual (&residuals)[kBlocks],
+                                                            double& explained) const {
+    constexpr int p = kMaxParameters, m = kMaxMonomials;
+    Square normal{}, inverse{};
+    std::array<double, p> right{}, solution{};
+    const double half = layout_.half + 0.5;
+    const auto middle = [&](int k) {  // of a block, and half of its width, relative to half
+      const double first = block_start(k, layout_.size()), end = block_start(k + 1, layout_.size());
+      return std::pair(0.5 * (first + end) / half - 1.0, 0.5 * (end - first) / half);
+    };
+    for (int k = 0; k < kBlocks; ++k) {
+      const BlockProducts& block = subset_->blocks[k];
+      const auto [x, wide] = middle(k % kSide);
+      const auto [y, high] = middle(k / kSide);
+      const double powers[m] = {1.0, x, y, x * x + wide * wide / 3.0, x * y, y * y + high * high / 3.0};
+      for (int a = 0; a < m; ++a) {
+        right[a] += powers[a] * residuals[k].r_jx;
+        right[m + a] += powers[a] * residuals[k].r_jy;
+        for (int b = 0; b < m; ++b) {
+          const double share = powers[a] * powers[b];
+          normal[a * p + b] += share * block.jx_dx;
+          normal[a * p + m + b] += share * block.jx_dy;
+          normal[(m + a) * p + b] += share * block.jy_dx;
+          normal[(m + a) * p + m + b] += share * block.jy_dy;
+        }
+      }
+    }
+    if (!invert(normal, p, inverse.data())) return solution;
+    for (int a = 0; a < p; ++a) {
+      for (int b = 0; b < p; ++b) solution[a] += inverse[a * p + b] * right[b];
+      explained -= solution[a] * right[a];
+    }
+    return solution;
   }
 
   // The end of a subset that was not found: torn, if where the seed puts it a strip matches and another does
@@ -250,15 +335,24 @@ class SubsetMatch {
   const SubsetResult& failed(SubsetStatus status, const Quadratic& seed) {
     constexpr double kMatches = 0.8, kDoesNot = 0.5;  // ZNCC of a strip
     if (!sample(seed)) return ended(status);
-    StripSamples samples[kStrips];
+    BlockSamples samples[kBlocks];
     const float mean_g = loops_.moments(layout_, g_).mean;
-    loops_.strip_samples(layout_, pixels_, static_cast<float>(subset_->mean), g_, mean_g, samples);
+    loops_.block_samples(layout_, pixels_, static_cast<float>(subset_->mean), g_, mean_g, samples);
     double best = -1.0, worst = 1.0;
-    for (int k = 0; k < kStrips; ++k) {
-      const Strip& f = subset_->strips[k];
-      const StripSamples& g = samples[k];
-      const double powers = (f.f_f - f.f * f.f / f.count) * (g.g_g - g.g * g.g / f.count);
-      const double zncc = powers > 0.0 ? (g.f_g - f.f * g.g / f.count) / std::sqrt(powers) : 0.0;
+    for (int strip = 0; strip < 2 * kSide; ++strip) {
+      double count = 0, f = 0, g = 0, f_f = 0, g_g = 0, f_g = 0;
+      for (int k = 0; k < kSide; ++k) {
+        const int at = strip < kSide ? strip * kSide + k : k * kSide + strip - kSide;
+        const BlockProducts& block = subset_->blocks[at];
+        count += block.count;
+        f += block.f;
+        f_f += block.f_f;
+        g += samples[at].g;
+        g_g += samples[at].g_g;
+        f_g += samples[at].f_g;
+      }
+      const double powers = (f_f - f * f / count) * (g_g - g * g / count);
+      const double zncc = powers > 0.0 ? (f_g - f * g / count) / std::sqrt(powers) : 0.0;
       best = std::max(best, zncc);
       worst = std::min(worst, zncc);
     }

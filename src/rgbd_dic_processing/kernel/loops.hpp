@@ -63,20 +63,18 @@ struct ResidualSums {
   float r_r, r_f, r_1, r_j[kMaxParameters];
 };
 
-// The strips that a subset is judged by: four upright ones, left to right, then four level ones, top to
-// bottom.
-constexpr int kStrips = 8;
-inline int strip_start(int strip, int size) { return strip % 4 * size / 4; }  // its first column or line
-inline int strip_end(int strip, int size) { return (strip % 4 + 1) * size / 4; }
+// A subset is judged by its parts: kSide x kSide blocks, row by row.
+constexpr int kSide = 4, kBlocks = kSide * kSide;
+inline int block_start(int k, int size) { return k * size / kSide; }  // first column or line of the k-th
 
-// Sums over a strip.
-struct StripProducts {
+// Sums over a block.
+struct BlockProducts {
   float count, f, f_f, jx_dx, jx_dy, jy_dx, jy_dy;
 };
-struct StripResidual {
+struct BlockResidual {
   float r_r, r_jx, r_jy;
 };
-struct StripSamples {
+struct BlockSamples {
   float g, g_g, f_g;
 };
 
@@ -93,15 +91,15 @@ struct Loops {
   // r = f - mean_f - scale (g - mean_g).
   void (*residual_sums)(const Layout&, const ReferencePixels&, float mean_f, const float* g, float mean_g,
                         float scale, int order, ResidualSums&);
-  void (*strip_residuals)(const Layout&, const ReferencePixels&, float mean_f, const float* g, float mean_g,
-                          float scale, StripResidual (&)[kStrips]);
+  void (*block_residuals)(const Layout&, const ReferencePixels&, float mean_f, const float* g, float mean_g,
+                          float scale, BlockResidual (&)[kBlocks]);
 
   // Of f - mean_f and g - mean_g.
-  void (*strip_samples)(const Layout&, const ReferencePixels&, float mean_f, const float* g, float mean_g,
-                        StripSamples (&)[kStrips]);
+  void (*block_samples)(const Layout&, const ReferencePixels&, float mean_f, const float* g, float mean_g,
+                        BlockSamples (&)[kBlocks]);
 
   void (*product_sums)(const Layout&, const ReferencePixels&, int order, ProductSums&);
-  void (*strip_products)(const Layout&, const ReferencePixels&, float mean_f, StripProducts (&)[kStrips]);
+  void (*block_products)(const Layout&, const ReferencePixels&, float mean_f, BlockProducts (&)[kBlocks]);
 
   // Mean over the subset of gain(x) gain(y), each a polynomial of four coefficients in (t - 1/2)^2, where t
   // is the fraction of a coordinate.

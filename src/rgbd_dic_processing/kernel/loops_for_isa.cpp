@@ -230,68 +230,63 @@ void residual_sums(const Layout& layout, const ReferencePixels& reference, float
   function(layout, reference, mean_f, g, mean_g, scale, sums);
 }
 
-// Sums of terms over the strips. `terms(at, pixel, sums)` adds those of kWidth pixels: `at` is their place in
+// Sums of terms over the blocks. `terms(at, pixel, sums)` adds those of kWidth pixels: `at` is their place in
 // the planes, `pixel` in a Layout.
 template <int count, class Terms>
-RGBD_DIC_INLINE void sum_strips(const Layout& layout, std::ptrdiff_t stride, float (&strips)[kStrips][count],
+RGBD_DIC_INLINE void sum_blocks(const Layout& layout, std::ptrdiff_t stride, float (&blocks)[kBlocks][count],
                                 const Terms& terms) {
   const int size = layout.size();
   const Ints lanes = lane_numbers();
-  Floats totals[kStrips][count]{};
+  for (auto& block : blocks)
+    for (float& value : block) value = 0.0f;
   std::ptrdiff_t pixel = 0;
   for (int column = 0; column < layout.columns; ++column) {
-    const Ints at = column * kWidth + lanes;
-    const Floats weight = load(&layout.weight[column * kWidth]);
-    Floats all[count]{};
-    for (int level = 4; level < kStrips; ++level) {
+    const int start = column * kWidth;
+    for (int level = 0; level < kSide; ++level) {
       Floats sums[count]{};
-      for (int line = strip_start(level, size); line < strip_end(level, size); ++line, pixel += kWidth)
-        terms((line - layout.half) * stride + column * kWidth - layout.half, pixel, sums);
-      for (int k = 0; k < count; ++k) {
-        sums[k] *= weight;
-        totals[level][k] += sums[k];
-        all[k] += sums[k];
+      for (int line = block_start(level, size); line < block_start(level + 1, size); ++line, pixel += kWidth)
+        terms((line - layout.half) * stride + start - layout.half, pixel, sums);
+      for (int k = 0; k < kSide; ++k) {
+        const int first = block_start(k, size), end = block_start(k + 1, size);
+        if (end <= start || first >= start + kWidth) continue;
+        const Ints within = (start + lanes >= first) & (start + lanes < end);
+        for (int term = 0; term < count; ++term)
+          blocks[level * kSide + k][term] += sum(within ? sums[term] : Floats{});
       }
     }
-    for (int upright = 0; upright < 4; ++upright) {
-      const Ints within = (at >= strip_start(upright, size)) & (at < strip_end(upright, size));
-      for (int k = 0; k < count; ++k) totals[upright][k] += within ? all[k] : Floats{};
-    }
   }
-  for (int strip = 0; strip < kStrips; ++strip)
-    for (int k = 0; k < count; ++k) strips[strip][k] = sum(totals[strip][k]);
 }
 
-void strip_residuals(const Layout& layout, const ReferencePixels& reference, float mean_f, const float* g,
-                     float mean_g, float scale, StripResidual (&strips)[kStrips]) {
-  float sums[kStrips][3];
-  sum_strips(layout, reference.stride, sums,
+void block_residuals(const Layout& layout, const ReferencePixels& reference, float mean_f, const float* g,
+                     float mean_g, float scale, BlockResidual (&blocks)[kBlocks]) {
+  float sums[kBlocks][3];
+  sum_blocks(layout, reference.stride, sums,
              [&](std::ptrdiff_t at, std::ptrdiff_t pixel, Floats(&s)[3]) __attribute__((always_inline)) {
                const Floats r = load(reference.f + at) - mean_f - scale * (load(g + pixel) - mean_g);
                s[0] += r * r;
                s[1] += r * load(reference.jx + at);
                s[2] += r * load(reference.jy + at);
              });
-  for (int q = 0; q < kStrips; ++q) strips[q] = {sums[q][0], sums[q][1], sums[q][2]};
+  for (int q = 0; q < kBlocks; ++q) blocks[q] = {sums[q][0], sums[q][1], sums[q][2]};
 }
 
-void strip_samples(const Layout& layout, const ReferencePixels& reference, float mean_f, const float* g,
-                   float mean_g, StripSamples (&strips)[kStrips]) {
-  float sums[kStrips][3];
-  sum_strips(layout, reference.stride, sums,
+void block_samples(const Layout& layout, const ReferencePixels& reference, float mean_f, const float* g,
+                   float mean_g, BlockSamples (&blocks)[kBlocks]) {
+  float sums[kBlocks][3];
+  sum_blocks(layout, reference.stride, sums,
              [&](std::ptrdiff_t at, std::ptrdiff_t pixel, Floats(&s)[3]) __attribute__((always_inline)) {
                const Floats away = load(g + pixel) - mean_g;
                s[0] += away;
                s[1] += away * away;
                s[2] += away * (load(reference.f + at) - mean_f);
              });
-  for (int q = 0; q < kStrips; ++q) strips[q] = {sums[q][0], sums[q][1], sums[q][2]};
+  for (int q = 0; q < kBlocks; ++q) blocks[q] = {sums[q][0], sums[q][1], sums[q][2]};
 }
 
-void strip_products(const Layout& layout, const ReferencePixels& reference, float mean_f,
-                    StripProducts (&strips)[kStrips]) {
-  float sums[kStrips][7];
-  sum_strips(layout, reference.stride, sums,
+void block_products(const Layout& layout, const ReferencePixels& reference, float mean_f,
+                    BlockProducts (&blocks)[kBlocks]) {
+  float sums[kBlocks][7];
+  sum_blocks(layout, reference.stride, sums,
              [&](std::ptrdiff_t at, std::ptrdiff_t, Floats(&s)[7]) __attribute__((always_inline)) {
                const Floats f = load(reference.f + at) - mean_f;
                const Floats jx = load(reference.jx + at), jy = load(reference.jy + at);
@@ -304,9 +299,9 @@ void strip_products(const Layout& layout, const ReferencePixels& reference, floa
                s[5] += jy * dx;
                s[6] += jy * dy;
              });
-  for (int q = 0; q < kStrips; ++q) {
+  for (int q = 0; q < kBlocks; ++q) {
     const auto& s = sums[q];
-    strips[q] = {s[0], s[1], s[2], s[3], s[4], s[5], s[6]};
+    blocks[q] = {s[0], s[1], s[2], s[3], s[4], s[5], s[6]};
   }
 }
 
@@ -490,10 +485,10 @@ const Loops kLoops = {RGBD_DIC_NAME_OF(RGBD_DIC_ISA),
                       sample<5>,
                       moments,
                       residual_sums,
-                      strip_residuals,
-                      strip_samples,
+                      block_residuals,
+                      block_samples,
                       product_sums,
-                      strip_products,
+                      block_products,
                       mean_gain,
                       filter_lines,
                       weighted_sum};

@@ -1,6 +1,7 @@
 // The subsets of the reference image, with all that does not change from one target image to the next.
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstdint>
@@ -16,6 +17,8 @@
 
 namespace rgbd_dic {
 
+constexpr int kMaxSubsetSize = 1001;  // px; the memory of each thread grows with its square
+
 // How subsets are made and matched.
 struct SubsetModel {
   int size;          // px, odd
@@ -24,24 +27,6 @@ struct SubsetModel {
   double smoothing;  // of the steepest-descent gradients, px
 
   int parameters() const { return 2 * monomial_count(order); }
-};
-
-// What is known of a strip of a subset before it is searched.
-struct Strip {
-  float count = 0, f = 0, f_f = 0;  // pixels, sums of f and f^2, the subset's mean taken off
-  // (J^T D)^-1 of its translation, J and D not made orthogonal; NaN where its texture does not determine it.
-  float inverse[2][2] = {};
-
-  Strip() = default;
-  explicit Strip(const StripProducts& sums) : count(sums.count), f(sums.f), f_f(sums.f_f) {
-    const double determinant =
-        static_cast<double>(sums.jx_dx) * sums.jy_dy - static_cast<double>(sums.jx_dy) * sums.jy_dx;
-    const double share = determinant > 0.05 * sums.jx_dx * sums.jy_dy ? 1.0 / determinant : std::nan("");
-    inverse[0][0] = static_cast<float>(sums.jy_dy * share);
-    inverse[0][1] = static_cast<float>(-sums.jx_dy * share);
-    inverse[1][0] = static_cast<float>(-sums.jy_dx * share);
-    inverse[1][1] = static_cast<float>(sums.jx_dx * share);
-  }
 };
 
 // Constants of one subset. J is the n x p matrix of steepest-descent images, D the same of the true
@@ -59,10 +44,17 @@ struct Subset {
   // What share of the diagonal of J^T J and J^T D is noise, for noise of unit variance.
   float noise_jj_u = 0, noise_jj_v = 0, noise_jd_u = 0, noise_jd_v = 0;
 
-  Strip strips[kStrips];
+  BlockProducts blocks[kBlocks] = {};  // f with the mean taken off
 
   double contrast(int count) const { return std::sqrt(power / count); }
 };
+
+// Whether nothing but rounding in float32 makes the grey values of a subset differ. `power` is the sum of
+// their squared deviations from the mean; NaN is uniform.
+inline bool is_uniform(double mean, double power, int count) {
+  const double contrast = std::max(1e-3, 1e-6 * std::fabs(mean));
+  return !(power > count * contrast * contrast);
+}
 
 // The p x p matrix in front of the right-hand side, J^T 1 / n and J^T f / power, one after the other.
 struct SubsetEquations {
@@ -156,9 +148,9 @@ class Reference {
 
  private:
   static const SubsetModel& checked(const SubsetModel& model) {
-    if (model.size < 5 || model.size % 2 == 0)
+    if (model.size < 5 || model.size > kMaxSubsetSize || model.size % 2 == 0)
       throw std::invalid_argument("subset_size = " + std::to_string(model.size) +
-                                  " px: must be odd and at least 5");
+                                  " px: must be odd and 5 to " + std::to_string(kMaxSubsetSize));
     if (model.order < 1 || model.order > kMaxOrder)
       throw std::invalid_argument("order = " + std::to_string(model.order) + ": must be 1 or 2");
     if (!(model.smoothing >= 0.0 && model.smoothing <= 5.0))
@@ -192,10 +184,8 @@ class Reference {
     loops_.product_sums(layout, pixels, model_.order, sums);
     subset.mean = static_cast<float>(sums.f / n);
     subset.power = sums.f_f;
-    if (!(subset.power > 0.0)) return;
-    StripProducts strips[kStrips];
-    loops_.strip_products(layout, pixels, static_cast<float>(subset.mean), strips);
-    for (int k = 0; k < kStrips; ++k) subset.strips[k] = Strip(strips[k]);
+    if (is_uniform(subset.mean, subset.power, n)) return;
+    loops_.block_products(layout, pixels, static_cast<float>(subset.mean), subset.blocks);
 
     // Powers of xi and eta of each monomial.
     constexpr int kXi[] = {0, 1, 0, 2, 1, 0}, kEta[] = {0, 0, 1, 0, 1, 2};
@@ -229,8 +219,13 @@ class Reference {
     subset.noise_jj_v = static_cast<float>(j_j / jj[monomials * (p + 1)]);
     subset.noise_jd_u = static_cast<float>(j_d / jd[0]);
     subset.noise_jd_v = static_cast<float>(j_d / jd[monomials * (p + 1)]);
+    // A ramp of grey values looks like the constant or f; what is left of its gradients is rounding.
+    constexpr double kRounding = 1e-5;
+    for (int a = 0; a < p; ++a) {
+      const double taken_off = n * mean_j[a] * mean_d[a] + subset.power * share_j[a] * share_d[a];
+      if (!(jd[a * (p + 1)] > kRounding * taken_off)) return;
+    }
     if (!invert(jd, p, inverse)) return;
-    subset.state = Subset::State::kUsable;
 
     // Rows of the inverse that give the displacement of the point: with its powers as weights.
     const double xi = subset.away_x, eta = subset.away_y;
@@ -247,6 +242,8 @@ class Reference {
         subset.uv += to_u[a] * jj[a * p + b] * to_v[b];
         subset.vv += to_v[a] * jj[a * p + b] * to_v[b];
       }
+    if (subset.uu > 0.0 && subset.uu * subset.vv > subset.uv * subset.uv)
+      subset.state = Subset::State::kUsable;
   }
 
   const Loops& loops_;

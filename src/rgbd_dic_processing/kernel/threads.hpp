@@ -10,6 +10,8 @@
 
 namespace rgbd_dic {
 
+constexpr int kMaxThreads = 1024;
+
 // Number of threads to use for a request of `threads`, where 0 means every core the process may use.
 inline int resolve_threads(int threads) {
   if (threads > 0) return threads;

@@ -94,7 +94,7 @@ def processing_nodes(
             "dic_node",
             CAMERA_TOPICS,
             ("reference", "subset_field"),
-            parameters={**calibration, **regions, **stage("correlation", "search")},
+            parameters={**calibration, **regions, **stage("correlation", "search", "renewal")},
         ),
         NodeSpec(
             PROCESSING,

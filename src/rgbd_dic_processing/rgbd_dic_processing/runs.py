@@ -17,7 +17,7 @@ from rgbd_dic_acquisition.errors import RgbdDicError
 from .core.crack import CrackOpening
 from .core.displacement_field import DisplacementField
 from .core.status import FrameStatus
-from .core.tracking import Reference
+from .core.subset_field import Reference
 from .results import CSV_NAME, read_openings, write_openings
 
 MAPS_NAME, RUN_NAME, REFERENCE_NAME = "displacement_maps.npz", "run.yaml", "reference.png"
@@ -25,13 +25,19 @@ TRUTH_NAME = "truth.csv"
 
 
 class MapSelection:
-    """Keeps, for each method, the displacement fields worth a map: at the widest opening, and the last valid one."""
+    """Keeps, for each method, the displacement fields worth a map: at the widest opening, and the last valid one.
+
+    Of all fields it keeps the stamps of the keyframes after the reference, `renewed_ns`.
+    """
 
     def __init__(self) -> None:
         self._widest: dict[str, tuple[float, DisplacementField]] = {}
         self._last: dict[str, DisplacementField] = {}
+        self.renewed_ns: set[int] = set()
 
     def add(self, displacement: DisplacementField, opening: CrackOpening | None) -> None:
+        if displacement.keyframe_stamp_ns != displacement.reference_stamp_ns:
+            self.renewed_ns.add(displacement.keyframe_stamp_ns)
         if displacement.status != FrameStatus.OK:
             return
         self._last[displacement.method] = displacement
@@ -44,6 +50,10 @@ class MapSelection:
         return {
             method: {"widest": self._widest[method][1], "last": self._last[method]} for method in sorted(self._last)
         }
+
+    def facts(self) -> dict[str, Any]:
+        """What a run should tell of the keyframes; nothing if all was followed from the reference."""
+        return {"renewed keyframes": len(self.renewed_ns)} if self.renewed_ns else {}
 
 
 @dataclass
@@ -108,10 +118,10 @@ class Run:
         image = cv2.imread(str(folder / REFERENCE_NAME), cv2.IMREAD_GRAYSCALE)
         if image is not None and "reference" in content:
             about = content["reference"]
-            reference = Reference(
+            reference = Reference.first(
                 about["stamp_ns"],
                 image,
-                np.zeros((0, 2), np.int32),
+                np.zeros((0, 2)),
                 about["subset_size_px"],
                 about["step_px"],
             )

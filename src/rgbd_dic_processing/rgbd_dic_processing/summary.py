@@ -40,8 +40,9 @@ def summary(run: Run, truth: Truth | None) -> str:
 
 def footprint_m(field: DisplacementField) -> float:
     """Length on the panel that a pixel of the reference image covers, mean over the subsets and directions [m]."""
-    terms = np.column_stack([field.centres_px, np.ones(len(field.centres_px))])
-    affine: Array = np.linalg.lstsq(terms, field.position_m, rcond=None)[0][:2]
+    known = np.isfinite(field.position_m[:, 0])
+    terms = np.column_stack([field.centres_px[known], np.ones(known.sum())])
+    affine: Array = np.linalg.lstsq(terms, field.position_m[known], rcond=None)[0][:2]
     return float(np.sqrt(abs(np.linalg.det(affine))))
 
 

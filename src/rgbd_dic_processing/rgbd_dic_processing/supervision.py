@@ -69,15 +69,17 @@ def supervise(
 def collect(outcome: Outcome, bag_path: Path, settings: ProcessingSettings, inputs: dict[str, str]) -> Run:
     """The run of a graph: its openings, and the maps and the reference from the bag that it recorded."""
     by_frame = {(opening.method, opening.stamp_ns): opening for opening in outcome.openings}
-    selection, reference, facts = MapSelection(), None, dict(outcome.facts)
+    selection, facts = MapSelection(), dict(outcome.facts)
     with BagReader(bag_path) as bag:
         facts["messages recorded"] = sum(topic.count for topic in bag.topics.values())
         fields = [name for name, topic in bag.topics.items() if topic.type == "rgbd_dic_msgs/msg/DisplacementField"]
         for _, _, message in bag.messages(fields):
             field = displacement_field_from_message(message)
             selection.add(field, by_frame.get((field.method, field.stamp_ns)))
-        for _, _, message in bag.messages([n for n in bag.topics if n.endswith("/reference")]):
-            reference = reference_from_message(message)
+        references = bag.messages([name for name in bag.topics if name.endswith("/reference")])
+        first = next((message for _, _, message in references), None)  # the one that the regions are drawn on
+    reference = None if first is None else reference_from_message(first)
+    facts |= selection.facts()
     return Run(outcome.openings, selection.maps(), reference, inputs, settings.as_dict(), facts)
 
 

@@ -12,7 +12,7 @@ from rgbd_dic_processing.core.plane import PlaneEstimate
 from rgbd_dic_processing.core.regions import CrackZones, Regions
 from rgbd_dic_processing.core.search import SeedSource
 from rgbd_dic_processing.core.status import FrameStatus
-from rgbd_dic_processing.core.tracking import Reference, SubsetField
+from rgbd_dic_processing.core.subset_field import Reference, SubsetField
 from scipy.spatial.transform import Rotation
 
 SUBSET, STEP = 31, 10
@@ -46,7 +46,7 @@ class ExactScene:
     @property
     def reference(self) -> Reference:
         centres = self.regions.subset_centres(self.camera.width, self.camera.height, SUBSET, STEP)
-        return Reference(1, np.zeros((self.camera.height, self.camera.width), np.uint8), centres, SUBSET, STEP)
+        return Reference.first(1, np.zeros((self.camera.height, self.camera.width), np.uint8), centres, SUBSET, STEP)
 
     def plane(self, R: np.ndarray, t: np.ndarray, sigma: float = 1e-6) -> Plane:
         """The panel's plane z = 0 in a camera at X_camera = R X_panel + t, with a small covariance."""
@@ -76,9 +76,11 @@ class ExactScene:
         return SubsetField(
             stamp,
             1,
+            1,
             FrameStatus.OK,
             "",
             SeedSource.PREDICTION,
+            SUBSET,
             seed / seed[2, 2],
             moved,
             np.full((count, 2), 0.005, np.float32),

@@ -18,7 +18,7 @@ from rgbd_dic_processing.core.displacement_field import DisplacementField
 from rgbd_dic_processing.core.regions import load_regions
 from rgbd_dic_processing.core.settings import ProcessingSettings
 from rgbd_dic_processing.core.status import FrameStatus
-from rgbd_dic_processing.core.tracking import Reference
+from rgbd_dic_processing.core.subset_field import Reference
 from rgbd_dic_processing.report import write_report
 from rgbd_dic_processing.report.drawing import STROKES, envelope
 from rgbd_dic_processing.report.map_background import Background
@@ -62,7 +62,7 @@ def field(k, method="h_pose"):
     moved = moved + np.random.default_rng(k).normal(0, 1e-6, moved.shape)
     moved[7] = NAN
     return DisplacementField(
-        stamp(k), START, method, FrameStatus.OK, "", 0.004, 9, CENTRES.astype(np.float32),
+        stamp(k), START, START, method, FrameStatus.OK, "", 0.004, 9, CENTRES.astype(np.float32),
         CENTRES * 1e-3, moved, np.full(moved.shape, 1e-6, np.float32), np.zeros((0, 3, 6)), np.zeros((0, 2, 3)),
         1e-3, np.nan, 0.01,
     )  # fmt: skip
@@ -83,7 +83,7 @@ def usual_run():
             "h_pose": {"widest": field(29), "last": field(29)},
             "h_3d": {"widest": field(28), "last": field(29)},
         },
-        Reference(START, image, CENTRES.astype(np.int32), 9, 10),
+        Reference.first(START, image, CENTRES, 9, 10),
         {"bag": "/home/somebody/flights/bridge_4", "regions": "regions.yaml"},
         ProcessingSettings().as_dict(),
         {"frames lost": 0},

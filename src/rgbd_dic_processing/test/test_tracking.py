@@ -8,13 +8,14 @@ import cv2
 import numpy as np
 import pytest
 from rgbd_dic_acquisition.calibration import Camera
-from rgbd_dic_acquisition.errors import MeasurementError, RegionsError
+from rgbd_dic_acquisition.errors import RegionsError
 from rgbd_dic_processing.core.correlation import CorrelationSettings
 from rgbd_dic_processing.core.regions import Regions
 from rgbd_dic_processing.core.search import SeedSource
 from rgbd_dic_processing.core.settings import SearchSettings
 from rgbd_dic_processing.core.status import FrameStatus
-from rgbd_dic_processing.core.tracking import SubsetField, SubsetTracking
+from rgbd_dic_processing.core.subset_field import SubsetField
+from rgbd_dic_processing.core.tracking import SubsetTracking
 from scipy.ndimage import map_coordinates, spline_filter
 
 CAMERA = Camera(640, 480, 820.0, 820.0, 319.5, 239.5)
@@ -76,12 +77,19 @@ def test_smooth_motion_is_predicted() -> None:
         assert found(field) == 1 and error_px(field, steps, H) < 0.01
 
 
-@pytest.mark.parametrize("degrees, shift", [(0, (120, -70)), (30, (10, 5)), (-25, (-60, 40))])
-def test_sudden_motion_is_recovered_by_features(degrees: float, shift: tuple[float, float]) -> None:
+@pytest.mark.parametrize(
+    "degrees, shift, source",
+    [
+        (0, (120, -70), SeedSource.COARSE),
+        (30, (10, 5), SeedSource.FEATURES),
+        (-25, (-60, 40), SeedSource.FEATURES),
+    ],
+)
+def test_sudden_motion_is_recovered(degrees: float, shift: tuple[float, float], source: SeedSource) -> None:
     steps = tracking()
     H = turned(degrees, shift, 1e-4)
     field = steps.track(SECOND, view(H))
-    assert field.status == FrameStatus.OK and field.seed_source == SeedSource.FEATURES
+    assert field.status == FrameStatus.OK and field.seed_source == source
     assert found(field) > 0.99 and error_px(field, steps, H) < 0.01
 
 
@@ -116,7 +124,7 @@ def test_hidden_half_leaves_the_other_half() -> None:
 
 @pytest.mark.parametrize("jump_px", [6.0, 24.0])
 def test_both_sides_of_a_suddenly_wide_crack(jump_px: float) -> None:
-    """No single homography fits both sides; the far side is found from features or from its own neighbours."""
+    """No single homography fits both sides; the far side is found from the coarse image or from its own neighbours."""
     steps = tracking()
     field = steps.track(SECOND, view(np.eye(3), jump_px))
     moved = field.moved_px - steps.reference.centres_px
@@ -134,21 +142,6 @@ def test_a_crack_that_widens_slowly_is_followed_by_prediction() -> None:
         assert field.seed_source == SeedSource.PREDICTION
     right = steps.reference.centres_px[:, 0] > 345
     assert (field.subset_status[right] == 0).mean() > 0.99
-
-
-def test_new_reference() -> None:
-    steps = tracking()
-    steps.renew_reference()
-    field = steps.track(SECOND, view(turned(2, (5, 5))))
-    assert field.reference_stamp_ns == SECOND and field.seed_source == SeedSource.REFERENCE
-
-
-def test_new_reference_is_refused_where_the_regions_would_not_fit() -> None:
-    steps = tracking()
-    steps.track(SECOND, view(turned(0, (12, 0))))
-    with pytest.raises(MeasurementError, match="moved by 12 px"):
-        steps.renew_reference()
-    assert steps.reference is not None
 
 
 @pytest.mark.parametrize("first", [np.zeros((480, 640), np.uint8), np.full((480, 640), 255, np.uint8)])

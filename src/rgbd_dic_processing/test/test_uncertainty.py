@@ -14,7 +14,7 @@ from rgbd_dic_processing.core.plane import PlaneEstimate
 from rgbd_dic_processing.core.regions import Regions
 from rgbd_dic_processing.core.settings import CompensationSettings, CrackSettings
 from rgbd_dic_processing.core.status import FrameStatus
-from rgbd_dic_processing.core.tracking import SubsetField
+from rgbd_dic_processing.core.subset_field import SubsetField
 from rgbd_dic_processing.core.uncertainty import independent_modes, overlap_correlation, quadratic_terms
 from scenes import SUBSET, ExactScene, pair, pose
 from scipy.spatial.transform import Rotation
@@ -53,7 +53,7 @@ def correlated_noise(random: np.random.Generator, centres: np.ndarray) -> np.nda
     """(N, 2) errors of subsets as white image noise makes them: box means of a white field."""
     fields = random.standard_normal((2, CAMERA.height + SUBSET, CAMERA.width + SUBSET))
     sums = np.pad(fields.cumsum(axis=1).cumsum(axis=2), ((0, 0), (1, 0), (1, 0)))
-    x, y = centres.T
+    x, y = centres.astype(int).T
     total = sums[:, y + SUBSET, x + SUBSET] - sums[:, y, x + SUBSET] - sums[:, y + SUBSET, x] + sums[:, y, x]
     return SIGMA_PX * total.T / SUBSET
 

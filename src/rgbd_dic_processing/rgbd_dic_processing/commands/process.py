@@ -62,7 +62,8 @@ def run(options: argparse.Namespace) -> int:
         "calibration": str(calibration_path or "in the bag"),
         "methods": ", ".join(methods),
     }
-    result = Run(openings, selection.maps(), pipeline.tracking.reference, inputs, settings.as_dict())
+    reference = pipeline.tracking.reference
+    result = Run(openings, selection.maps(), reference, inputs, settings.as_dict(), selection.facts())
     code = finish(result, options.out, regions_path, calibration_path, truth_path)
     if failure is not None:
         raise failure

@@ -65,7 +65,7 @@ class CorrelationSettings(Settings):
     )
     max_shift_px: float = setting(10.0, unit="px", low=0.1, high=1000.0, doc="Longest way from the seed, per axis.")
     max_misfit_px: float = setting(
-        0.02, unit="px", low=0.001, doc="A subset is torn if a strip of it moved by more (and by 6 sigma) otherwise."
+        0.5, unit="px", low=0.001, doc="A subset is torn if a smooth motion leaves more unexplained in it (RMS)."
     )
     threads: int = setting(0, low=0, high=1024, doc="Threads; 0 for all cores. Results do not depend on it.")
 

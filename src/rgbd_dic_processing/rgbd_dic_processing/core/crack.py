@@ -67,7 +67,7 @@ class CrackMeasurement:
 
     def __init__(self, camera: Camera, zones: CrackZones, settings: CrackSettings):
         self._camera, self._zones, self._settings = camera, zones, settings
-        self._layout: tuple[Array, _ZoneLayout] | None = None
+        self._layout: _ZoneLayout | None = None
 
     def measure(self, field: DisplacementField) -> CrackOpening:
         if field.status != FrameStatus.OK:
@@ -110,9 +110,9 @@ class CrackMeasurement:
         )
 
     def _zone_layout(self, field: DisplacementField) -> _ZoneLayout:
-        if self._layout is None or not np.array_equal(self._layout[0], field.centres_px):
-            self._layout = (field.centres_px, _ZoneLayout.of(self._zones, field))
-        return self._layout[1]
+        if self._layout is None or not self._layout.fits(field):
+            self._layout = _ZoneLayout.of(self._zones, field)
+        return self._layout
 
     def _variance(
         self, field: DisplacementField, layout: _ZoneLayout, axes: Array, left: NDArray, right: NDArray
@@ -138,28 +138,34 @@ def _in_crack_axes(vectors: Array, axes: Array) -> Array:
 
 @dataclass(frozen=True)
 class _ZoneLayout:
-    """Which subsets belong to each zone, and how their errors correlate; the same for all frames of a reference."""
+    """Which subsets belong to each zone, and how their errors correlate; the same for all frames of a keyframe."""
 
     left: NDArray[np.intp]
     right: NDArray[np.intp]
     centres_px: Array
+    subset_px: float
     correlation: csr_matrix
 
     @classmethod
     def of(cls, zones: CrackZones, field: DisplacementField) -> _ZoneLayout:
         centres = field.centres_px.astype(float)
-        return cls(*zones.members(centres), centres, overlap_correlation(centres, field.subset_size))
+        return cls(*zones.members(centres), centres, field.subset_px, overlap_correlation(centres, field.subset_px))
+
+    def fits(self, field: DisplacementField) -> bool:
+        """Whether it is that of a field."""
+        return self.subset_px == field.subset_px and np.array_equal(self.centres_px, field.centres_px)
 
     def crack_axes(self, camera: Camera, zones: CrackZones, position_m: Array) -> Array:
         """Rows: normal to the crack and along it, in panel coordinates (2, 2).
 
-        The crack's direction in the raw reference image becomes one on the panel by the homography from ideal
-        reference pixels to panel coordinates, taken where the direction was given.
+        The crack's direction in the raw image that it was drawn on becomes one on the panel by the homography from
+        ideal pixels of that image to panel coordinates, taken where the direction was given.
 
         Raises:
             MeasurementError: if the subsets do not determine that homography.
         """
-        some = np.linspace(0, len(position_m) - 1, min(len(position_m), AXES_POINTS)).astype(int)
+        known = np.flatnonzero(np.isfinite(position_m[:, 0]))
+        some = known[np.linspace(0, len(known) - 1, min(len(known), AXES_POINTS)).astype(int)]
         to_panel = fit_homography(camera.undistort(self.centres_px[some]), position_m[some])
         if to_panel is None:
             raise MeasurementError("the direction of the crack on the panel is undetermined: too few subsets")

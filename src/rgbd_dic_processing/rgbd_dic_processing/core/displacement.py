@@ -20,7 +20,7 @@ from .reference_frame import NEEDS_PLANE_OF_FRAME, ReferenceFrame
 from .regions import Regions
 from .settings import CompensationSettings
 from .status import FrameStatus
-from .tracking import Reference, SubsetField
+from .subset_field import Reference, SubsetField
 
 SOLVERS = {
     "h_pose": h_pose.compensate,
@@ -94,10 +94,10 @@ class DisplacementMeasurement:
                 moved_px,
                 sigma_px,
                 fixed,
-                base.correlation,
+                base.correlation(frame.field),
                 reference_plane,
                 plane,
-                frame.field.homography,
+                base.homography(frame.field),
             )
             compensation = SOLVERS[self._settings.method](view, self._settings)
             return base.displacement(frame, self._settings.method, view, compensation, reference_plane)
@@ -121,16 +121,17 @@ def _plane_of(frame: JoinedFrame) -> tuple[Plane | None, tuple[FrameStatus, str]
 def _invalid(
     frame: JoinedFrame, method: str, base: ReferenceFrame | None, status: FrameStatus, reason: str
 ) -> DisplacementField:
-    centres = base.reference.centres_px if base else np.zeros((0, 2))
+    centres = base.reference.drawn_px if base else np.zeros((0, 2))
     count = len(centres)
     return DisplacementField(
         frame.field.stamp_ns,
         frame.field.reference_stamp_ns,
+        frame.field.keyframe_stamp_ns,
         method,
         status,
         reason,
         frame.pair.depth_offset_s if frame.pair else math.nan,
-        base.reference.subset_size if base else 0,
+        frame.field.subset_px,
         centres.astype(np.float32),
         np.full((count, 2), np.nan),
         np.full((count, 3), np.nan),

@@ -16,7 +16,9 @@ Array = NDArray[np.float64]
 class DisplacementField:
     """Displacement of the N subset centres in the panel frame since the reference, camera motion removed.
 
-    centres_px: (N, 2) raw reference pixels. position_m: (N, 2) panel coordinates in the reference.
+    keyframe_stamp_ns, subset_px: as of `SubsetField`.
+    centres_px: (N, 2) raw pixels of the image that the regions were drawn on. position_m: (N, 2) panel coordinates in
+        the reference; NaN for a subset that it lacks.
     displacement_m: (N, 3), NaN where invalid; z is NaN for all methods but pc_3d.
     sigma_m: (N, 3) float32, standard uncertainty from the DIC alone, NaN like the displacement.
     modes: (k, 3, 6) independent errors of the compensation of one standard deviation each: mode m displaces (x, y) by
@@ -30,11 +32,12 @@ class DisplacementField:
 
     stamp_ns: int
     reference_stamp_ns: int
+    keyframe_stamp_ns: int
     method: str
     status: FrameStatus
     reason: str
     depth_offset_s: float
-    subset_size: int
+    subset_px: float
     centres_px: NDArray[np.float32]
     position_m: Array
     displacement_m: Array

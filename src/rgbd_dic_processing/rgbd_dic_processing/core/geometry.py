@@ -134,12 +134,16 @@ class SeedMaps:
         self._reach = reach_px
         offsets = np.array([(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1), (1, -1), (-1, 1)], float)
         stencil = np.asarray(centres_px, float)[None] + reach_px * offsets[:, None]
-        self._ideal = camera.undistort(stencil.reshape(-1, 2))
+        ideal = camera.undistort(stencil.reshape(-1, 2)).reshape(9, -1, 2)
+        self._ideal = np.ascontiguousarray(np.moveaxis(ideal, 2, 0))
 
-    def seeds(self, H: Array) -> Array:
-        """(N, 2, 6) for the homography H (3, 3), reference -> image in ideal pixels."""
-        moved = self._camera.distort(apply_homography(H, self._ideal)).reshape(9, -1, 2)
-        centre, right, left, down, up, right_down, left_up, right_up, left_down = moved
+    def seeds(self, H: Array, chosen: NDArray[np.intp] | slice = slice(None)) -> Array:
+        """(N, 2, 6) for the homography H (3, 3), reference -> image in ideal pixels; or those of the chosen subsets."""
+        x, y = self._ideal[:, :, chosen]
+        u, v, w = (row[0] * x + row[1] * y + row[2] for row in H)
+        w = np.where(w > 0, w, np.nan)
+        moved = self._camera.distort(np.stack([u / w, v / w]).reshape(2, -1).T).T.reshape(2, 9, -1)
+        centre, right, left, down, up, right_down, left_up, right_up, left_down = np.moveaxis(moved, 1, 0)
         h = self._reach
         coefficients = (
             centre,
@@ -149,4 +153,4 @@ class SeedMaps:
             (right_down + left_up - right_up - left_down) / (4 * h * h),
             (down - 2 * centre + up) / (2 * h * h),
         )
-        return np.stack(coefficients, axis=-1)
+        return np.stack(coefficients).transpose(2, 1, 0).copy()

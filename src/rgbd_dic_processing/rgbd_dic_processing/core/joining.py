@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from .pairing import FramePair
 from .plane import PlaneEstimate
 from .status import FrameStatus
-from .tracking import SubsetField
+from .subset_field import SubsetField
 
 
 @dataclass(frozen=True)

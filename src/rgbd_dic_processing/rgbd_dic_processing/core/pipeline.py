@@ -15,7 +15,8 @@ from .pairing import FramePair, FramePairing
 from .plane import PanelPlane, PlaneEstimate
 from .regions import Regions
 from .settings import ProcessingSettings
-from .tracking import Reference, SubsetField, SubsetTracking
+from .subset_field import Reference, SubsetField
+from .tracking import SubsetTracking
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,7 @@ class Pipeline:
     ):
         methods = methods or (settings.compensation.method,)
         camera = calibration.camera
-        self.tracking = SubsetTracking(camera, regions, settings.correlation, settings.search)
+        self.tracking = SubsetTracking(camera, regions, settings.correlation, settings.search, settings.renewal)
         self.pairing = FramePairing(settings.pairing)
         self.planes = PanelPlane(calibration, regions, settings.plane)
         self.displacement = {

@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from rgbd_dic_acquisition.calibration import Camera
 from rgbd_dic_acquisition.errors import MeasurementError
+from scipy.sparse import csr_matrix
 
 from .compensation.motion import Compensation, FrameView
 from .displacement_field import DisplacementField
-from .geometry import Plane
+from .geometry import Plane, apply_homography
 from .joining import JoinedFrame
 from .plane import PlaneEstimate
 from .realignment import Realignment, realign_to_axis, realign_to_principal_axes
@@ -19,7 +20,7 @@ from .reference_plane import ReferencePlane
 from .regions import Regions
 from .settings import CompensationSettings
 from .status import FrameStatus
-from .tracking import Reference
+from .subset_field import Reference, SubsetField
 from .uncertainty import overlap_correlation, quadratic_terms
 
 Array = NDArray[np.float64]
@@ -29,20 +30,30 @@ NEEDS_PLANE_OF_FRAME = ("h_3d", "pc_3d")  # as in the thesis: from the ToF frame
 class ReferenceFrame:
     """One reference: what is computed once for it, its plane as it becomes known, and displacements against it.
 
-    ideal_px: (N, 2), undistorted subset centres. fixed: (N,) mask of the fixed region. correlation: (N, N) of the
-    errors of overlapping subsets.
+    ideal_px: (N, 2), undistorted subset centres; NaN for those that it lacks. fixed: (N,) mask of the fixed region.
     """
 
     def __init__(self, camera: Camera, regions: Regions, settings: CompensationSettings, reference: Reference):
         self.camera, self.regions, self.settings, self.reference = camera, regions, settings, reference
-        centres = reference.centres_px.astype(float)
-        self.ideal_px = camera.undistort(centres)
-        self.fixed = regions.fixed_members(centres)
-        self.zones = regions.crack.members(centres) if regions.crack is not None else ()
-        self.right = regions.crack.beyond(centres) if regions.crack is not None else np.zeros(len(centres), bool)
+        drawn, crack = reference.drawn_px, regions.crack
+        self.ideal_px = camera.undistort(reference.centres_px)
+        self.fixed = regions.fixed_members(drawn)
+        self.zones = crack.members(drawn) if crack is not None else ()
+        self.right = crack.beyond(drawn) if crack is not None else np.zeros(len(drawn), bool)
+        self._from_drawing = np.linalg.inv(reference.homography)
         self._step_at_reference: PlaneEstimate | None = None
-        self.correlation = overlap_correlation(centres, reference.subset_size)
+        self._correlation: tuple[float, csr_matrix] | None = None
         self._planes = ReferencePlane(camera, settings.robust_sigmas)
+
+    def homography(self, field: SubsetField) -> Array:
+        """(3, 3), ideal pixels of the reference -> of an image."""
+        return field.homography @ self._from_drawing
+
+    def correlation(self, field: SubsetField) -> csr_matrix:
+        """(N, N), of the errors of overlapping subsets."""
+        if self._correlation is None or self._correlation[0] != field.subset_px:
+            self._correlation = field.subset_px, overlap_correlation(self.reference.drawn_px, field.subset_px)
+        return self._correlation[1]
 
     def take_in_plane(
         self, frame: JoinedFrame, plane: Plane, moved_px: Array, sigma_px: Array, fixed: NDArray[np.intp]
@@ -59,7 +70,7 @@ class ReferenceFrame:
         if near and not self._planes.knows(frame.plane.stamp_ns):
             try:
                 self._planes.add(
-                    frame.plane.stamp_ns, plane, self.ideal_px[fixed], moved_px, sigma_px, frame.field.homography
+                    frame.plane.stamp_ns, plane, self.ideal_px[fixed], moved_px, sigma_px, self.homography(frame.field)
                 )
             except (MeasurementError, np.linalg.LinAlgError) as error:
                 return FrameStatus.NO_PLANE, f"the plane of its ToF frame does not fit the motion ({error})"
@@ -95,18 +106,19 @@ class ReferenceFrame:
         displacement_m = moved - start
         displacement_m[self.right, 2] += step_m
         per_x, per_y = (now(view.moved_px + shift) - moved for shift in np.eye(2))
-        sigma_px = compensation.misfit * view.sigma_px
+        sigma_px = np.hypot(view.sigma_px, compensation.misfit_px)
         sigma = np.sqrt((per_x * sigma_px[:, :1]) ** 2 + (per_y * sigma_px[:, 1:]) ** 2)
         pi_variance = plane.normal @ plane.inverse_depth_covariance() @ plane.normal
         return DisplacementField(
             frame.field.stamp_ns,
             frame.field.reference_stamp_ns,
+            frame.field.keyframe_stamp_ns,
             method,
             FrameStatus.OK,
             "",
             frame.pair.depth_offset_s if frame.pair else math.nan,
-            self.reference.subset_size,
-            self.reference.centres_px.astype(np.float32),
+            frame.field.subset_px,
+            self.reference.drawn_px.astype(np.float32),
             start[:, :2],
             displacement_m,
             sigma.astype(np.float32),
@@ -120,8 +132,9 @@ class ReferenceFrame:
 
     def _realignment(self, plane: Plane) -> Realignment:
         if self.regions.x_axis is not None:
-            return realign_to_axis(self.camera, plane, self.regions.x_axis)
-        return realign_to_principal_axes(self.camera, plane, self.ideal_px)
+            axis = apply_homography(self.reference.homography, self.camera.undistort(self.regions.x_axis))
+            return realign_to_axis(self.camera, plane, self.camera.distort(axis))
+        return realign_to_principal_axes(self.camera, plane, self.ideal_px[np.isfinite(self.ideal_px[:, 0])])
 
     def _step(self, frame: JoinedFrame, method: str) -> tuple[float, float]:
         """Change of the step across the crack since the reference's own ToF frame, and its uncertainty [m] (pc_3d).
@@ -155,7 +168,7 @@ class ReferenceFrame:
 
 def _modes(compensation: Compensation, realignment: Realignment, ideal_px: Array) -> Array:
     """The displacement error of each mode, as a quadratic in panel coordinates: exact to first order in the error."""
-    low, high = ideal_px.min(axis=0), ideal_px.max(axis=0)
+    low, high = np.nanmin(ideal_px, axis=0), np.nanmax(ideal_px, axis=0)
     grid = np.stack(np.meshgrid(*np.linspace(low, high, 5).T), axis=-1).reshape(-1, 2)
     seen = compensation.motion.move(grid)
     nominal = compensation.motion.panel_points(seen, realignment)

@@ -1,7 +1,8 @@
-"""The initial guess of each frame: predicted from the frames before, or recovered by matching features."""
+"""The initial guess of each frame: predicted from the frames before, or recovered from the image itself."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -9,17 +10,20 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from rgbd_dic_acquisition.calibration import Camera
-from scipy.spatial import cKDTree
 
+from .coarse import CoarseSearch
 from .correlation import Correlation, ReferenceSubsets, SubsetStatus, Target
 from .features import FeatureMatcher
 from .geometry import SeedMaps, apply_homography
+from .prediction import Prediction
 from .settings import SearchSettings
+from .subset_grid import SubsetGrid
 
 Array = NDArray[np.float64]
 
 NEWS_PX = 0.5  # an expected position nearer than this to one that was tried tells nothing new
-RETRY_FRAMES = 10  # how often features are asked while a part of the panel stays missing
+LEAST_AGREEING = 8  # points that a homography must rest on
+FITTED = 300  # subsets, spread over the panel, that a frame's homography is fitted to
 
 
 class SeedSource(IntEnum):
@@ -29,6 +33,7 @@ class SeedSource(IntEnum):
     PREDICTION = 1
     FEATURES = 2
     NONE = 3
+    COARSE = 4
 
 
 @dataclass(frozen=True)
@@ -46,8 +51,9 @@ class Guess:
 class SubsetSearch:
     """Follows the panel from frame to frame, and finds it again when it was lost.
 
-    A guess is taken only if the DIC itself, run on a few spread subsets (probes), finds enough of them there. The
-    probes also refine its homography, so that the full run starts a few hundredths of a pixel away.
+    Guesses come in the order of their cost: the prediction, the coarse image, features. One is taken only if the DIC
+    itself, run on a few spread subsets (probes), finds enough of them there, in agreement. The probes also refine its
+    homography, so that the full run starts a few hundredths of a pixel away.
     """
 
     def __init__(
@@ -64,55 +70,117 @@ class SubsetSearch:
         self._ideal = camera.undistort(self._centres)
         usable = np.flatnonzero(textured)
         self._probes = usable[_spread(self._centres[usable], settings.probes)]
-        self._features = FeatureMatcher(image, self._centres, settings.features)
-        self._around = cKDTree(self._centres).query_ball_point(self._centres, 1.5 * subsets.settings.step)
-        self._missing_before, self._frames_missing = 0.0, 0
-        self._history: list[tuple[int, Array]] = []
+        self._fitted = usable[_spread(self._centres[usable], FITTED)]
+        inside = (self._centres >= 0) & (self._centres <= (camera.width - 1, camera.height - 1))
+        self._inside = inside.all(axis=1)  # a subset that left the reference is never found
+        self._grid = SubsetGrid(np.where(self._inside[:, None], self._centres, np.nan), subsets.settings.step)
+        self._coarse = CoarseSearch(image, self._centres[usable], subsets.settings.subset_size)
+        self._features = FeatureMatcher(image, self._centres[usable], settings.features)
+        self._prediction = Prediction()
         self._offsets = np.zeros_like(self._centres)
 
     def find(self, stamp_ns: int, image: NDArray[np.uint8], target: Target) -> tuple[Guess | None, SeedSource]:
         """The guess for an image and where it came from; None if the panel was not found."""
-        for homography in self._predictions(stamp_ns):
-            refined = self._confirm(target, Guess(homography, self._offsets))
-            if refined is not None:
-                return refined, SeedSource.PREDICTION
-        guess = self._match_features(image, None)
-        refined = self._confirm(target, guess) if guess is not None else None
-        return refined, SeedSource.NONE if refined is None else SeedSource.FEATURES
+        for homography, source in self._candidates(stamp_ns, image):
+            guess = None if homography is None else self._confirm(target, homography)
+            if guess is not None:
+                return guess, source
+        return None, SeedSource.NONE
 
     def moved_px(self) -> float:
         """How far the panel's subsets were, at most, from their places in the reference when they were last found."""
-        if not self._history:
-            return 0.0
-        return float(np.abs(apply_homography(self._history[-1][1], self._ideal) - self._ideal).max())
+        return float(np.nanmax(np.abs(apply_homography(self._prediction.last, self._ideal) - self._ideal)))
 
-    def seeds(self, guess: Guess) -> Array:
-        """The seed maps (N, 2, 6) of a guess."""
-        seeds = self._maps.seeds(guess.homography)
-        seeds[:, :, 0] += guess.offsets_px
+    def seeds(self, guess: Guess, chosen: NDArray[np.intp] | slice = slice(None)) -> Array:
+        """The seed maps (N, 2, 6) of a guess; only those of the chosen subsets are filled in."""
+        seeds = np.zeros((len(self._centres), 2, 6))
+        seeds[chosen] = self._maps.seeds(guess.homography, chosen)
+        seeds[chosen, :, 0] += guess.offsets_px[chosen]
         return seeds
 
     def complete(self, image: NDArray[np.uint8], target: Target, guess: Guess, moved: Correlation) -> Correlation:
-        """Try the subsets that were not found again: from their found neighbours, then from matched features.
-
-        Features cost much more, so they are asked only when a part of the panel went missing since the last frame, and
-        now and then while it stays missing.
-        """
+        """Try the subsets that were not found again: from their found neighbours, then from the coarse image."""
+        if moved.valid.all():
+            return moved
         tried = guess.offsets_px.copy()
         moved = self._from_neighbours(target, guess, moved, tried)
-        missing = np.mean(self._worth_trying(moved))
-        self._frames_missing = self._frames_missing + 1 if missing > self._settings.max_missing else 0
-        if missing - self._missing_before > self._settings.max_missing or self._frames_missing >= RETRY_FRAMES:
-            self._frames_missing = 0
-            matched = self._match_features(image, guess.homography)
-            if matched is not None:
-                away = np.abs(matched.offsets_px - tried).max(axis=1)
-                chosen = np.flatnonzero(self._worth_trying(moved) & (away > NEWS_PX))
-                moved = self._try(target, guess, moved, tried, chosen, matched.offsets_px[chosen])
+        missing = np.flatnonzero(self._worth_trying(moved) & (moved.status != SubsetStatus.OUTSIDE_IMAGE))
+        if len(missing) > self._settings.max_missing * len(self._centres):
+            some = missing[np.linspace(0, len(missing) - 1, min(self._settings.probes, len(missing))).astype(int)]
+            before, now, found = self._coarse.moved_apart(image, guess.homography, self._centres[some], tried[some])
+            away = now - self._expected(guess.homography, self._camera.undistort(before))
+            news = np.abs(away - tried[some[found]]).max(axis=1) > NEWS_PX
+            if news.any():
+                moved = self._try(target, guess, moved, tried, some[found[news]], away[news])
                 moved = self._from_neighbours(target, guess, moved, tried)
-                missing = np.mean(self._worth_trying(moved))
-        self._missing_before = missing
         return moved
+
+    def remember(self, stamp_ns: int, guess: Guess, moved: Correlation) -> None:
+        """Keep what was found, for the next prediction.
+
+        The homography is fitted to what moved since the last frame, not to the panel anew: of two sides of a wide crack
+        a new fit would follow now one, now the other, and the prediction would take the change for motion.
+        """
+        some = self._fitted
+        homography, _ = self._fit(self._ideal[some], _positions(moved)[some] - self._offsets[some])
+        homography = guess.homography if homography is None else homography
+        self._prediction.add(stamp_ns, homography)
+        offsets = self._away(homography, moved)
+        if moved.valid.all():
+            self._offsets = offsets
+        elif moved.valid.any():
+            self._offsets = offsets[self._grid.nearest(moved.valid)]
+
+    def _candidates(self, stamp_ns: int, image: NDArray[np.uint8]) -> Iterator[tuple[Array | None, SeedSource]]:
+        """Homographies to be tried, made as they are asked for; None where nothing was recovered."""
+        predicted, last = self._prediction.at(stamp_ns), self._prediction.last
+        yield predicted, SeedSource.PREDICTION
+        for view in (predicted,) if np.array_equal(predicted, last) else (predicted, last):
+            yield self._matched(*self._coarse.jumped(image, view, self._centres[self._probes])), SeedSource.COARSE
+        yield self._matched(*self._features.match(image)), SeedSource.FEATURES
+
+    def _confirm(self, target: Target, homography: Array) -> Guess | None:
+        """The guess of a homography, refined, if enough probes agree. Those that do may bring others within reach."""
+        probes, refined, agreeing = self._probes, None, 0
+        positions, tried = np.full((2, len(probes), 2), np.nan)
+        rest = np.arange(len(probes))
+        while len(rest):
+            tried[rest] = self._expected(homography, self._ideal[probes[rest]])
+            seeds = self.seeds(Guess(homography, self._offsets), probes[rest])
+            positions[rest] = _positions(self._subsets.correlate(target, seeds, probes[rest]))
+            homography, count = self._fit(self._ideal[probes], positions - self._offsets[probes])
+            if homography is None or count <= agreeing:
+                break
+            refined, agreeing = homography, count
+            news = np.abs(self._expected(refined, self._ideal[probes]) - tried).max(axis=1) > NEWS_PX
+            rest = np.flatnonzero(news & np.isnan(positions[:, 0]))
+        enough = agreeing >= self._settings.min_found * len(probes)
+        return Guess(refined, self._offsets) if enough else None
+
+    def _matched(self, source_px: Array, moved_px: Array) -> Array | None:
+        """The homography of points (M, 2) found in the reference and in the image, raw pixels."""
+        if len(source_px) < LEAST_AGREEING:
+            return None
+        nearest = self._grid.nearest(self._inside, source_px)
+        return self._fit(self._camera.undistort(source_px), moved_px - self._offsets[nearest])[0]
+
+    def _fit(self, ideal_px: Array, moved_px: Array) -> tuple[Array | None, int]:
+        """The homography that the largest part of points (M, 2) agrees with, ideal -> raw pixels, and that part's size.
+
+        Points that are NaN are left out. None if it rests on too few, or does not hold for all subsets.
+        """
+        moved = self._camera.undistort(moved_px)
+        found = np.isfinite(moved).all(axis=1) & np.isfinite(ideal_px).all(axis=1)
+        if found.sum() < LEAST_AGREEING:
+            return None, 0
+        homography, inliers = cv2.findHomography(
+            ideal_px[found], moved[found], cv2.USAC_MAGSAC, self._settings.max_residual_px, maxIters=2000
+        )
+        if homography is None or inliers.sum() < LEAST_AGREEING:
+            return None, 0
+        homography = homography / homography[2, 2]
+        holds = np.isfinite(apply_homography(homography, self._ideal[self._fitted])).all()
+        return (homography, int(inliers.sum())) if holds else (None, 0)
 
     def _from_neighbours(self, target: Target, guess: Guess, moved: Correlation, tried: Array) -> Correlation:
         """Each subset not found, from the median of where its found neighbours are; until that finds no more.
@@ -121,16 +189,11 @@ class SubsetSearch:
         left alone. `tried` (N, 2), the offsets tried so far, is kept up to date.
         """
         for _ in range(self._settings.rounds):
-            offsets = self._away(guess.homography, moved)
-            found = np.isfinite(offsets[:, 0])
-            chosen, expected = [], []
-            for index in np.flatnonzero(self._worth_trying(moved)):
-                near = offsets[[other for other in self._around[index] if found[other]]]
-                if len(near) and np.abs(np.median(near, axis=0) - tried[index]).max() > NEWS_PX:
-                    chosen.append(index)
-                    expected.append(np.median(near, axis=0))
+            chosen = np.flatnonzero(self._worth_trying(moved))
+            expected = self._grid.median_around(self._away(guess.homography, moved), chosen)
+            news = np.abs(expected - tried[chosen]).max(axis=1) > NEWS_PX
             before = np.sum(moved.valid)
-            moved = self._try(target, guess, moved, tried, np.array(chosen, int), np.array(expected).reshape(-1, 2))
+            moved = self._try(target, guess, moved, tried, chosen[news], expected[news])
             if np.sum(moved.valid) == before:
                 break
         return moved
@@ -147,72 +210,25 @@ class SubsetSearch:
         if not len(chosen):
             return moved
         tried[chosen] = offsets_px
-        return moved.replaced(
-            chosen, self._subsets.correlate(target, self.seeds(Guess(guess.homography, tried)), chosen)
-        )
+        seeds = self.seeds(Guess(guess.homography, tried), chosen)
+        return moved.replaced(chosen, self._subsets.correlate(target, seeds, chosen))
 
     @staticmethod
     def _worth_trying(moved: Correlation) -> NDArray[np.bool_]:
         """Which subsets were not found, though they have texture."""
         return ~moved.valid & ~np.isin(moved.status, (SubsetStatus.LOW_TEXTURE, SubsetStatus.SKIPPED))
 
-    def remember(self, stamp_ns: int, guess: Guess, moved: Correlation) -> None:
-        """Keep what was found, for the next prediction."""
-        homography = self._fit(np.column_stack([moved.x_px, moved.y_px]))
-        homography = guess.homography if homography is None else homography
-        self._history = [*self._history[-1:], (stamp_ns, homography)]
-        offsets = self._away(homography, moved)
-        found = np.isfinite(offsets[:, 0])
-        if found.any():
-            nearest = cKDTree(self._centres[found]).query(self._centres)[1]
-            self._offsets = offsets[found][nearest]
-
-    def _predictions(self, stamp_ns: int) -> list[Array]:
-        """The last homography plus its recent change, scaled by the time that passed; then the last one alone."""
-        if not self._history:
-            return [np.eye(3)]
-        last_ns, last = self._history[-1]
-        before_ns, before = self._history[0]
-        if not before_ns < last_ns < stamp_ns:
-            return [last]
-        return [last + (last - before) * (stamp_ns - last_ns) / (last_ns - before_ns), last]
-
-    def _confirm(self, target: Target, guess: Guess) -> Guess | None:
-        moved = self._subsets.correlate(target, self.seeds(guess), self._probes)
-        if np.mean(moved.valid) < self._settings.min_found:
-            return None
-        homography = self._fit(np.column_stack([moved.x_px, moved.y_px]) - guess.offsets_px[self._probes], self._probes)
-        return None if homography is None else Guess(homography, guess.offsets_px)
-
-    def _fit(self, moved_px: Array, chosen: NDArray[np.intp] | slice = slice(None)) -> Array | None:
-        """The homography that the largest part of the subsets (raw pixels, NaN where not found) agrees with."""
-        moved = self._camera.undistort(moved_px)
-        found = np.isfinite(moved).all(axis=1)
-        if found.sum() < 8:
-            return None
-        source = self._ideal[chosen][found]
-        homography, _ = cv2.findHomography(source, moved[found], cv2.RANSAC, self._settings.max_residual_px)
-        usable = homography is not None and np.isfinite(apply_homography(homography, self._ideal)).all()
-        return homography / homography[2, 2] if usable else None
-
     def _away(self, homography: Array, moved: Correlation) -> Array:
         """How far each subset is from where the homography alone puts it (N, 2) [px]; NaN where not found."""
-        expected = self._camera.distort(apply_homography(homography, self._ideal))
-        return np.column_stack([moved.x_px, moved.y_px]) - expected
+        return _positions(moved) - self._expected(homography, self._ideal)
 
-    def _match_features(self, image: NDArray[np.uint8], homography: Array | None) -> Guess | None:
-        """A guess from features alone, or, with a known homography, only the offsets from it."""
-        source, moved = self._features.match(image)
-        if len(source) < 8:
-            return None
-        ideal = self._camera.undistort(source)
-        if homography is None:
-            homography, _ = cv2.findHomography(ideal, self._camera.undistort(moved), cv2.RANSAC, 3.0, maxIters=5000)
-        if homography is None or not np.isfinite(apply_homography(homography, self._ideal)).all():
-            return None
-        away = moved - self._camera.distort(apply_homography(homography, ideal))
-        near = cKDTree(source).query(self._centres, k=min(7, len(source)))[1]
-        return Guess(homography / homography[2, 2], np.median(away[near], axis=1))
+    def _expected(self, homography: Array, ideal_px: Array) -> Array:
+        """Raw pixels (M, 2) where a homography alone puts points of the reference."""
+        return self._camera.distort(apply_homography(homography, ideal_px))
+
+
+def _positions(moved: Correlation) -> Array:
+    return np.column_stack([moved.x_px, moved.y_px])
 
 
 def _spread(centres_px: Array, count: int) -> NDArray[np.intp]:

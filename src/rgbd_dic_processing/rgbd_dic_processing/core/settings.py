@@ -20,7 +20,7 @@ class SearchSettings(Settings):
 
     probes: int = setting(48, unit="subsets", low=8, high=1000, doc="Subsets that test a guess before all are run.")
     min_found: float = setting(
-        0.5, low=0.1, high=1.0, doc="Share of the probes that must be found for a guess to be taken."
+        0.2, low=0.1, high=1.0, doc="Share of the probes that must be found and agree for a guess to be taken."
     )
     max_residual_px: float = setting(
         3.0,
@@ -33,10 +33,36 @@ class SearchSettings(Settings):
         20, low=0, high=1000, doc="How often subsets that were not found are tried from their neighbours."
     )
     max_missing: float = setting(
-        0.1, low=0.0, high=1.0, doc="Share of the subsets that may go missing before features are matched for them."
+        0.1, low=0.0, high=1.0, doc="Share of the subsets that may be missing before the coarse image is asked."
     )
-    features: int = setting(
-        2000, unit="features", low=100, high=20000, doc="Features matched when the prediction fails."
+    features: int = setting(1000, unit="features", low=100, high=20000, doc="Features matched when all else fails.")
+
+
+@dataclass(frozen=True)
+class RenewalSettings(Settings):
+    """The carrying of the subsets to a newer keyframe, before the old one becomes useless."""
+
+    after_frames: int = setting(
+        20,
+        unit="frames",
+        low=0,
+        high=100000,
+        doc="Frames in a row that must ask for it, by one of the next two; 0: only `~/renew_keyframe` does.",
+    )
+    zncc_drop: float = setting(
+        0.05, low=0.001, high=2.0, doc="A frame asks when its median ZNCC is so far below the keyframe's best."
+    )
+    max_stretch: float = setting(
+        1.3,
+        low=1.01,
+        high=10.0,
+        doc="A frame asks when it shows the panel stretched or shrunk by more, in any direction.",
+    )
+    min_found: float = setting(
+        0.6,
+        low=0.1,
+        high=1.0,
+        doc="Share of each region's subsets that must be found in a new keyframe; the others are lost from then on.",
     )
 
 
@@ -117,6 +143,7 @@ class ProcessingSettings:
 
     correlation: CorrelationSettings = field(default_factory=CorrelationSettings)
     search: SearchSettings = field(default_factory=SearchSettings)
+    renewal: RenewalSettings = field(default_factory=RenewalSettings)
     pairing: PairingSettings = field(default_factory=PairingSettings)
     plane: PlaneSettings = field(default_factory=PlaneSettings)
     compensation: CompensationSettings = field(default_factory=CompensationSettings)

@@ -2,91 +2,70 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
 import numpy as np
 from numpy.typing import NDArray
 from rgbd_dic_acquisition.calibration import Camera
 from rgbd_dic_acquisition.errors import MeasurementError
 
-from .correlation import CorrelationSettings, ReferenceSubsets, SubsetStatus
-from .geometry import SeedMaps
+from .correlation import CorrelationSettings, SubsetStatus
+from .keyframe import Chain, Found, Keyframe
+from .layout import SubsetLayout
 from .regions import Regions
-from .search import Guess, SeedSource, SubsetSearch
-from .settings import SearchSettings
+from .renewal import RenewalNeed
+from .settings import RenewalSettings, SearchSettings
 from .status import FrameStatus
+from .subset_field import Reference, SubsetField
 
 Array = NDArray[np.float64]
-RENEWAL_PX = 5.0  # how far the view may have moved from the reference when a new one is taken with the same regions
 LEAST_TEXTURED = 0.25  # share of each region's subsets that must have texture in a reference
-UNKNOWN_HOMOGRAPHY = np.full((3, 3), np.nan)
-
-
-@dataclass(frozen=True)
-class Reference:
-    """The reference image and its subsets: centres (N, 2) in raw pixels, row by row."""
-
-    stamp_ns: int
-    image: NDArray[np.uint8]
-    centres_px: NDArray[np.int32]
-    subset_size: int
-    step: int
-
-
-@dataclass(frozen=True)
-class SubsetField:
-    """The subsets of the reference in one image, in the order of `Reference.centres_px`.
-
-    homography: (3, 3), reference -> image, ideal pixels, that seeded the subsets; NaN if none.
-    moved_px: (N, 2) float64, centres in the raw image; NaN unless CONVERGED.
-    sigma_px: (N, 2) float32, their standard uncertainty; NaN unless CONVERGED.
-    """
-
-    stamp_ns: int
-    reference_stamp_ns: int
-    status: FrameStatus
-    reason: str
-    seed_source: SeedSource
-    homography: Array
-    moved_px: Array
-    sigma_px: NDArray[np.float32]
-    zncc: NDArray[np.float32]
-    iterations: NDArray[np.uint8]
-    subset_status: NDArray[np.uint8]
-    image_received_ns: int = field(default=0, compare=False)
-
-    @property
-    def view(self) -> Array | None:
-        """The homography, or None if the panel was not found."""
-        return self.homography if self.status == FrameStatus.OK else None
 
 
 class SubsetTracking:
-    """Takes the first image, or the next one after `renew_reference`, as the reference and follows its subsets."""
+    """Takes the first good image as the reference and follows its subsets, from one keyframe after another.
 
-    def __init__(self, camera: Camera, regions: Regions, correlation: CorrelationSettings, search: SearchSettings):
+    Attributes:
+        reference: what the fields count from; None before the first.
+        refusal: why the last image did not become the reference or the keyframe though it was wanted; else empty.
+    """
+
+    def __init__(
+        self,
+        camera: Camera,
+        regions: Regions,
+        correlation: CorrelationSettings,
+        search: SearchSettings,
+        renewal: RenewalSettings | None = None,
+    ):
         self._camera, self._regions = camera, regions
-        self._correlation, self._search_settings = correlation, search
+        self._correlation, self._search, self._renewal = correlation, search, renewal or RenewalSettings()
         self._newest_ns = -1
-        self._centres: NDArray[np.int32] | None = None
+        self._layout: SubsetLayout | None = None
+        self._keyframe: Keyframe | None = None
+        self._last: SubsetField | None = None
+        self._wants_reference = self._wants_keyframe = False
         self.reference: Reference | None = None
+        self.refusal = ""
 
-    def renew_reference(self) -> None:
-        """The next good image becomes the reference.
+    def set_reference(self) -> None:
+        """The next image in which all regions are seen becomes the reference: displacements count from it anew.
 
         Raises:
-            MeasurementError: if the view has moved, so that the regions, which are pixels of the first reference, would
-                lie elsewhere on the panel.
+            MeasurementError: if a region is out of view, or the panel is not found at present.
         """
-        if self.reference is None:
-            return
-        moved_px = self._search.moved_px()
-        if moved_px > RENEWAL_PX:
-            raise MeasurementError(
-                f"the view has moved by {moved_px:.0f} px since the reference (at most {RENEWAL_PX:g} px): the regions "
-                "are pixels of that image. Move back, or draw new regions and start again"
-            )
-        self.reference = None
+        if self.reference is not None:
+            present = self._present()
+            self._refuse(self._out_of_view(self._layout.places(present.homography, present.moved_px)))
+            self._wants_reference = True
+
+    def renew_keyframe(self) -> None:
+        """The next image in which enough subsets are found becomes the keyframe; the reference stays.
+
+        Raises:
+            MeasurementError: if too few subsets are found at present.
+        """
+        if self.reference is not None:
+            self._refuse(self._too_few(self._present().moved_px))
+            self._wants_keyframe = True
 
     def track(self, stamp_ns: int, image: NDArray[np.uint8] | None, reason: str = "") -> SubsetField:
         """The subset field of an image (rows, cols); without subsets if there is no reference yet.
@@ -97,6 +76,7 @@ class SubsetTracking:
         Raises:
             RegionsError: if the regions do not fit the first image; nothing can be measured then.
         """
+        self.refusal = ""
         size = (self._camera.height, self._camera.width)
         if image is not None and image.dtype != np.uint8:
             reason = f"image has {8 * image.dtype.itemsize} bits a pixel; convert it to mono8"
@@ -108,72 +88,125 @@ class SubsetTracking:
             reason = f"its stamp is not later than that of the image before it ({self._newest_ns} ns)"
         self._newest_ns = max(self._newest_ns, stamp_ns)
         if self.reference is None and image is not None and not reason:
-            reason = self._take_reference(stamp_ns, image)
+            self._layout = self._layout or SubsetLayout(self._camera, self._regions, self._correlation)
+            reason = self._take_reference(stamp_ns, image, np.eye(3), self._layout.drawn_px)
         if image is None or reason:
             return self._nothing(stamp_ns, FrameStatus.BAD_IMAGE, reason)
-        target = self._subsets.target(image)
-        if stamp_ns == self.reference.stamp_ns:
-            guess, source = Guess(np.eye(3), np.zeros(self.reference.centres_px.shape)), SeedSource.REFERENCE
-        else:
-            guess, source = self._search.find(stamp_ns, image, target)
-        if guess is None:
+        self._last = self._follow(stamp_ns, image)
+        return self._last
+
+    def _follow(self, stamp_ns: int, image: NDArray[np.uint8]) -> SubsetField:
+        found = self._keyframe.find(stamp_ns, image)
+        if found is None:
             return self._nothing(stamp_ns, FrameStatus.LOST, "the reference pattern was not found in the image")
-        moved = self._subsets.correlate(target, self._search.seeds(guess))
-        moved = self._search.complete(image, target, guess, moved)
-        self._search.remember(stamp_ns, guess, moved)
+        tracked = self._field(stamp_ns, found)
+        needed = self._need.judge(found)
+        if self._wants_reference:
+            places = self._layout.places(tracked.homography, tracked.moved_px)
+            self.refusal = self._take_reference(stamp_ns, image, tracked.homography, places)
+            if not self.refusal:
+                return self._field(stamp_ns, self._keyframe.find(stamp_ns, image))
+        elif needed or self._wants_keyframe:
+            self.refusal = self._take_keyframe(stamp_ns, image, found, tracked)
+        return tracked
+
+    def _take_reference(self, stamp_ns: int, image: NDArray[np.uint8], homography: Array, places_px: Array) -> str:
+        """Make an image, where the subsets lie at these places (N, 2), the reference; or say why it cannot be one."""
+        if refusal := self._out_of_view(places_px):
+            return refusal
+        members = np.flatnonzero(self._layout.whole(places_px))
+        keyframe = self._made(stamp_ns, image, members, places_px, homography, Chain.start(len(members)))
+        textured = self._layout.mask(members[keyframe.textured])
+        if short := self._layout.shortage(textured, LEAST_TEXTURED):
+            return f"no reference: only {short} have texture (light? focus?)"
+        centres = np.where(self._layout.mask(members)[:, None], places_px, np.nan)
+        self.reference = Reference(
+            stamp_ns,
+            image,
+            centres,
+            self._correlation.subset_size,
+            self._correlation.step,
+            self._layout.drawn_px,
+            homography,
+        )
+        self._textured, self._wants_reference = textured, False
+        self._follow_from(keyframe)
+        return ""
+
+    def _take_keyframe(self, stamp_ns: int, image: NDArray[np.uint8], found: Found, tracked: SubsetField) -> str:
+        """Carry the subsets that were found to an image, the new keyframe; or say why it cannot be one."""
+        if refusal := self._too_few(tracked.moved_px):
+            return refusal
+        kept = self._layout.whole(tracked.moved_px)
+        chain = self._keyframe.chain_from(found, kept[self._keyframe.members])
+        keyframe = self._made(stamp_ns, image, np.flatnonzero(kept), tracked.moved_px, tracked.homography, chain)
+        self._follow_from(keyframe)
+        return ""
+
+    def _made(
+        self,
+        stamp_ns: int,
+        image: NDArray[np.uint8],
+        members: NDArray[np.intp],
+        places_px: Array,
+        homography: Array,
+        chain: Chain,
+    ) -> Keyframe:
+        settings = (self._camera, self._correlation, self._search)
+        return Keyframe(stamp_ns, image, members, places_px[members], homography, chain, *settings)
+
+    def _follow_from(self, keyframe: Keyframe) -> None:
+        self._keyframe, self._wants_keyframe = keyframe, False
+        self._need = RenewalNeed(self._renewal)
+
+    def _present(self) -> SubsetField:
+        if self._last is None or self._last.status != FrameStatus.OK:
+            raise MeasurementError("the panel is not found in the image at present: wait until it is")
+        return self._last
+
+    def _out_of_view(self, places_px: Array) -> str:
+        short = self._layout.shortage(self._layout.whole(places_px), LEAST_TEXTURED)
+        return f"no reference: only {short} lie in the image: move back" if short else ""
+
+    def _too_few(self, moved_px: Array) -> str:
+        short = self._layout.shortage(self._layout.whole(moved_px), self._renewal.min_found, self._textured)
+        least = f"at least {self._renewal.min_found:.0%} needed, because the others would be lost for good"
+        return f"the keyframe stays: only {short} are found ({least})" if short else ""
+
+    @staticmethod
+    def _refuse(reason: str) -> None:
+        if reason:
+            raise MeasurementError(reason)
+
+    def _field(self, stamp_ns: int, found: Found) -> SubsetField:
+        keyframe, correlation = self._keyframe, found.correlation
+
+        def of_all(values: NDArray, missing: float) -> NDArray:
+            every = np.full((len(self._layout), *values.shape[1:]), missing, values.dtype)
+            every[keyframe.members] = values
+            return every
+
+        homography = found.guess.homography @ keyframe.homography
         return SubsetField(
             stamp_ns,
             self.reference.stamp_ns,
+            keyframe.stamp_ns,
             FrameStatus.OK,
             "",
-            source,
-            guess.homography,
-            np.column_stack([moved.x_px, moved.y_px]),
-            np.column_stack([moved.sigma_x_px, moved.sigma_y_px]).astype(np.float32),
-            moved.zncc,
-            moved.iterations,
-            moved.status,
+            found.source,
+            keyframe.subset_px,
+            homography / homography[2, 2],
+            of_all(found.moved_px, np.nan),
+            of_all(found.sigma_px.astype(np.float32), np.nan),
+            of_all(correlation.zncc, np.nan),
+            of_all(correlation.iterations, 0),
+            of_all(correlation.status, SubsetStatus.SKIPPED),
         )
 
-    def _take_reference(self, stamp_ns: int, image: NDArray[np.uint8]) -> str:
-        """Make an image the reference; or say why it cannot be one."""
-        size, step = self._correlation.subset_size, self._correlation.step
-        if self._centres is None:
-            grid = (self._camera.width, self._camera.height, size, step)
-            self._regions.check(*grid)
-            centres = self._regions.subset_centres(*grid)
-            self._centres = centres[np.isfinite(self._camera.undistort(centres)).all(axis=1)]
-        centres = self._centres
-        subsets = ReferenceSubsets(image, centres, self._correlation)
-        maps = SeedMaps(self._camera, centres, reach_px=size / 2)
-        itself = subsets.correlate(subsets.target(image), maps.seeds(np.eye(3)))
-        named = [("panel", np.ones(len(centres), bool)), ("fixed region", self._regions.fixed_members(centres))]
-        if self._regions.crack is not None:
-            named += [
-                (f"{side} zone", np.isin(np.arange(len(centres)), zone))
-                for side, zone in zip(("left", "right"), self._regions.crack.members(centres), strict=True)
-            ]
-        for name, members in named:
-            textured = np.mean(itself.valid[members]) if members.any() else 0.0
-            if textured < LEAST_TEXTURED:
-                return f"no reference: only {textured:.0%} of the {name}'s subsets have texture (light? focus?)"
-        self._subsets = subsets
-        self._search = SubsetSearch(image, subsets, maps, self._camera, self._search_settings, itself.valid)
-        self.reference = Reference(stamp_ns, image, centres, size, step)
-        return ""
-
     def _nothing(self, stamp_ns: int, status: FrameStatus, reason: str) -> SubsetField:
-        count = len(self.reference.centres_px) if self.reference else 0
-        return SubsetField(
-            stamp_ns,
-            self.reference.stamp_ns if self.reference else 0,
-            status,
-            reason,
-            SeedSource.NONE,
-            UNKNOWN_HOMOGRAPHY,
-            np.full((count, 2), np.nan),
-            np.full((count, 2), np.nan, np.float32),
-            np.full(count, np.nan, np.float32),
-            np.zeros(count, np.uint8),
-            np.full(count, SubsetStatus.SKIPPED, np.uint8),
+        if self.reference is None:
+            return SubsetField.without_subsets(stamp_ns, 0, 0, status, reason, 0, np.nan)
+        known = self.reference.stamp_ns, self._keyframe.stamp_ns
+        return SubsetField.without_subsets(
+            stamp_ns, *known, status, reason, len(self._layout), self._keyframe.subset_px
         )

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 from rclpy.node import Node
 from rgbd_dic_acquisition.calibration import Camera
@@ -21,7 +23,7 @@ from rgbd_dic_msgs.msg import SubsetField as SubsetFieldMessage
 
 from ..core.correlation import CorrelationSettings
 from ..core.regions import load_regions
-from ..core.settings import SearchSettings
+from ..core.settings import RenewalSettings, SearchSettings
 from ..core.status import FrameStatus
 from ..core.tracking import SubsetTracking
 from .inputs import STREAM_DEPTH, CameraInput, sensor_qos
@@ -35,9 +37,11 @@ class DicNode(Node):
         self._settings = (
             declare(self, CorrelationSettings, "correlation"),
             declare(self, SearchSettings, "search"),
+            declare(self, RenewalSettings, "renewal"),
         )
         self._tracking: SubsetTracking | None = None
         self._published_reference = None
+        self._keyframe_ns = 0
         self._diagnostics = Diagnostics(self)
         self._reference_output = self._diagnostics.watch(
             self.create_publisher(ReferenceMessage, "reference", latched_qos())
@@ -45,18 +49,28 @@ class DicNode(Node):
         self._output = self._diagnostics.watch(self.create_publisher(SubsetFieldMessage, "subset_field", STREAM_DEPTH))
         qos = sensor_qos(self)
         self._camera = CameraInput(self, self._diagnostics, qos, self._start)
-        self.create_service(Trigger, "~/set_reference", self._set_reference)
+        for name, step, promise in (
+            ("~/set_reference", SubsetTracking.set_reference, "the next good image becomes the reference"),
+            ("~/renew_keyframe", SubsetTracking.renew_keyframe, "the next good image becomes the keyframe"),
+        ):
+            self.create_service(Trigger, name, partial(self._ask, step, promise))
         self.create_subscription(Image, "camera/image_raw", self._image, qos)
 
     def _start(self, camera: Camera) -> None:
         self._tracking = SubsetTracking(camera, self._regions, *self._settings)
 
-    def _set_reference(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _ask(
+        self,
+        step: Callable[[SubsetTracking], None],
+        promise: str,
+        _: Trigger.Request,
+        response: Trigger.Response,
+    ) -> Trigger.Response:
         try:
             if self._tracking is None:
                 raise MeasurementError("there is no calibration yet")
-            self._tracking.renew_reference()
-            response.success, response.message = True, "the next good image becomes the reference"
+            step(self._tracking)
+            response.success, response.message = True, promise
         except MeasurementError as error:
             response.message = str(error)
         return response
@@ -79,12 +93,17 @@ class DicNode(Node):
         if reference is not None and reference is not self._published_reference:
             self._published_reference = reference
             self._reference_output.publish(reference_message(make, reference, frame_id))
+        if field.keyframe_stamp_ns not in (self._keyframe_ns, field.reference_stamp_ns):
+            self._diagnostics.count("renewed keyframes")
+            self.get_logger().info(f"the subsets are now followed from the image at {field.keyframe_stamp_ns} ns")
+        self._keyframe_ns = field.keyframe_stamp_ns
         self._diagnostics.count("images")
-        if field.status == FrameStatus.OK:
-            self._diagnostics.ok()
-        else:
+        if field.status != FrameStatus.OK:
             self._diagnostics.count("invalid")
-            self._diagnostics.warn(field.reason)
+        if wrong := field.reason or self._tracking.refusal:
+            self._diagnostics.warn(wrong)
+        else:
+            self._diagnostics.ok()
         field = replace(field, image_received_ns=received_ns)
         self._output.publish(subset_field_message(make, field, frame_id))
 

@@ -26,7 +26,7 @@ from ..core.pairing import FramePair
 from ..core.plane import PlaneEstimate
 from ..core.search import SeedSource
 from ..core.status import FrameStatus
-from ..core.tracking import Reference, SubsetField
+from ..core.subset_field import Reference, SubsetField
 
 PANEL_FRAME = "panel"
 METHOD_CODES = {"h_3d": 0, "h_2d": 1, "pc_3d": 2, "h_pose": 3}  # rgbd_dic_msgs/Method
@@ -91,8 +91,11 @@ def reference_message(make: MessageFactory, reference: Reference, frame_id: str)
         image=image_message(make, reference.stamp_ns, frame_id, reference.image, "mono8"),
         subset_size=int(reference.subset_size),
         step=int(reference.step),
-        x=reference.centres_px[:, 0].astype(float),
-        y=reference.centres_px[:, 1].astype(float),
+        x=reference.centres_px[:, 0],
+        y=reference.centres_px[:, 1],
+        drawn_x=reference.drawn_px[:, 0],
+        drawn_y=reference.drawn_px[:, 1],
+        homography=reference.homography.ravel(),
     )
 
 
@@ -100,9 +103,11 @@ def reference_from_message(msg: Any) -> Reference:
     return Reference(
         stamp_to_ns(msg.header.stamp),
         image_from_message(msg.image),
-        np.column_stack([_array(msg.x), _array(msg.y)]).astype(np.int32),
+        np.column_stack([_array(msg.x), _array(msg.y)]),
         int(msg.subset_size),
         int(msg.step),
+        np.column_stack([_array(msg.drawn_x), _array(msg.drawn_y)]),
+        np.array(msg.homography, float).reshape(3, 3),
     )
 
 
@@ -111,10 +116,12 @@ def subset_field_message(make: MessageFactory, field: SubsetField, frame_id: str
         "rgbd_dic_msgs/msg/SubsetField",
         header=header_message(make, field.stamp_ns, frame_id),
         reference_stamp=stamp_message(make, field.reference_stamp_ns),
+        keyframe_stamp=stamp_message(make, field.keyframe_stamp_ns),
         image_received=stamp_message(make, field.image_received_ns),
         status=_status(make, field.status),
         reason=field.reason,
         seed_source=int(field.seed_source),
+        subset_size=float(field.subset_px),
         homography=field.homography.ravel(),
         x=field.moved_px[:, 0],
         y=field.moved_px[:, 1],
@@ -130,9 +137,11 @@ def subset_field_from_message(msg: Any) -> SubsetField:
     return SubsetField(
         stamp_to_ns(msg.header.stamp),
         stamp_to_ns(msg.reference_stamp),
+        stamp_to_ns(msg.keyframe_stamp),
         FrameStatus(msg.status.value),
         msg.reason,
         SeedSource(msg.seed_source),
+        float(msg.subset_size),
         np.array(msg.homography, float).reshape(3, 3),
         np.column_stack([_array(msg.x), _array(msg.y)]),
         np.column_stack([_array(msg.sigma_x, "f4"), _array(msg.sigma_y, "f4")]),
@@ -149,12 +158,13 @@ def displacement_field_message(make: MessageFactory, field: DisplacementField) -
         "rgbd_dic_msgs/msg/DisplacementField",
         header=header_message(make, field.stamp_ns, PANEL_FRAME),
         reference_stamp=stamp_message(make, field.reference_stamp_ns),
+        keyframe_stamp=stamp_message(make, field.keyframe_stamp_ns),
         image_received=stamp_message(make, field.image_received_ns),
         method=make("rgbd_dic_msgs/msg/Method", value=METHOD_CODES[field.method]),
         status=_status(make, field.status),
         reason=field.reason,
         depth_offset=float(field.depth_offset_s),
-        subset_size=int(field.subset_size),
+        subset_size=float(field.subset_px),
         x_px=field.centres_px[:, 0],
         y_px=field.centres_px[:, 1],
         x=field.position_m[:, 0],
@@ -173,11 +183,12 @@ def displacement_field_from_message(msg: Any) -> DisplacementField:
     return DisplacementField(
         stamp_to_ns(msg.header.stamp),
         stamp_to_ns(msg.reference_stamp),
+        stamp_to_ns(msg.keyframe_stamp),
         METHOD_NAMES[msg.method.value],
         FrameStatus(msg.status.value),
         msg.reason,
         float(msg.depth_offset),
-        int(msg.subset_size),
+        float(msg.subset_size),
         np.column_stack([_array(msg.x_px, "f4"), _array(msg.y_px, "f4")]),
         np.column_stack([_array(msg.x), _array(msg.y)]),
         np.column_stack([_array(msg.dx), _array(msg.dy), _array(msg.dz)]),

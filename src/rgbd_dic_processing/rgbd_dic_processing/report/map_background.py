@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..core.displacement_field import DisplacementField
 from ..core.regions import Regions
-from ..core.tracking import Reference
+from ..core.subset_field import Reference
 from .drawing import BLACK, VERMILION
 
 Array = NDArray[np.float64]

@@ -45,4 +45,4 @@ def _beyond(crack: CrackZones, field: DisplacementField, fixed: Mask) -> Mask:
     normal = np.array([crack.direction[1], -crack.direction[0]])
     distance = (field.centres_px - crack.point) @ normal
     away = -np.sign(np.median(distance[fixed]))
-    return distance * away > field.subset_size / 2 * np.abs(normal).sum()
+    return distance * away > field.subset_px / 2 * np.abs(normal).sum()

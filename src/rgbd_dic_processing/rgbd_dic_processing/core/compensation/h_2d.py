@@ -37,13 +37,13 @@ def compensate(view: FrameView, settings: CompensationSettings) -> Compensation:
         )
     used = view.fixed[inliers]
     motion = HomographyMotion(homography)
-    _, misfit = misfit_of(view.moved_px[used] - motion.move(view.reference_px[used]), view.sigma_px[used])
-    modes, coupling = _modes(homography, view, used, misfit)
-    return Compensation(motion, modes, coupling, reprojection_rms(motion, view, used), misfit)
+    misfit_px = misfit_of(view.moved_px[used] - motion.move(view.reference_px[used]), view.sigma_px[used])
+    modes, coupling = _modes(homography, view, used, misfit_px)
+    return Compensation(motion, modes, coupling, reprojection_rms(motion, view, used), misfit_px)
 
 
 def _modes(
-    homography: Array, view: FrameView, used: NDArray[np.intp], misfit: float
+    homography: Array, view: FrameView, used: NDArray[np.intp], misfit_px: float
 ) -> tuple[tuple[HomographyMotion, ...], Array]:
     """The homographies (1 + E) H, E each of the independent errors of the eight parameters; their coupling."""
     target = apply_homography(homography, view.reference_px[used])
@@ -52,7 +52,7 @@ def _modes(
     jacobian = spread * target_jacobian((target - centre) / spread)
     normal_matrix = np.einsum("pma,qma->pq", jacobian, jacobian)
     sensitivity = np.einsum("pq,qma->pma", np.linalg.inv(normal_matrix), jacobian)
-    modes, coupling = linear_modes(sensitivity, misfit * view.sigma_px, view.correlation, used)
+    modes, coupling = linear_modes(sensitivity, np.hypot(view.sigma_px, misfit_px), view.correlation, used)
     back = np.linalg.inv(normalise)
     moved = [back @ (np.eye(3) + np.append(mode, 0).reshape(3, 3)) @ normalise @ homography for mode in modes]
     return tuple(HomographyMotion(changed) for changed in moved), coupling

@@ -33,10 +33,11 @@ def compensate(view: FrameView, settings: CompensationSettings) -> Compensation:
     fixed = view.fixed
     data = (view.camera, view.reference_px[fixed], view.moved_px[fixed], view.sigma_px[fixed])
     start = pose_from_homography(view.camera, view.seed, view.reference_plane)
-    pose, jacobian, weights, misfit = fit_pose(*data, view.reference_plane, start, settings.robust_sigmas)
+    pose, jacobian, weights, misfit_px = fit_pose(*data, view.reference_plane, start, settings.robust_sigmas)
     motion = HomographyMotion(plane_homography(view.camera, *pose, view.reference_plane))
-    lengths, _ = misfit_of(view.moved_px[fixed] - motion.move(view.reference_px[fixed]), view.sigma_px[fixed])
-    agreeing = lengths <= 3 * settings.robust_sigmas * misfit
+    sigma_px = np.hypot(view.sigma_px, misfit_px)
+    residual = view.moved_px[fixed] - motion.move(view.reference_px[fixed])
+    agreeing = np.linalg.norm(residual / sigma_px[fixed], axis=1) <= 3 * settings.robust_sigmas
     residual_px = reprojection_rms(motion, view, fixed[agreeing]) if agreeing.any() else np.inf
     if residual_px > settings.inlier_px or agreeing.sum() < settings.min_subsets:
         raise MeasurementError(
@@ -46,13 +47,13 @@ def compensate(view: FrameView, settings: CompensationSettings) -> Compensation:
     weighted = jacobian * weights
     normal_matrix = np.einsum("pma,qma->pq", weighted, jacobian)
     sensitivity = np.einsum("pq,qma->pma", np.linalg.inv(normal_matrix), weighted)
-    dic_modes, coupling = linear_modes(sensitivity, misfit * view.sigma_px, view.correlation, fixed)
+    dic_modes, coupling = linear_modes(sensitivity, sigma_px, view.correlation, fixed)
     poses = [(_displaced(pose, mode), view.reference_plane) for mode in dic_modes]
     for mode in independent_modes(view.reference_plane.inverse_depth_covariance()):
         plane = Plane.from_inverse_depth(view.reference_plane.inverse_depth + mode)
         poses.append((fit_pose(*data, plane, pose, settings.robust_sigmas)[0], plane))
     modes = tuple(HomographyMotion(plane_homography(view.camera, *moved, plane)) for moved, plane in poses)
-    return Compensation(motion, modes, coupling, residual_px, misfit)
+    return Compensation(motion, modes, coupling, residual_px, misfit_px)
 
 
 def fit_pose(
@@ -66,8 +67,8 @@ def fit_pose(
 ) -> tuple[Pose, Array, Array, float]:
     """Pose (R, t) that moves points of a known plane onto where they are seen.
 
-    Minimises sum rho(|m' - project(R X + t)| / sigma), X on the plane; rho is Huber's. The scale of the residuals is
-    their median, if that is above what sigma says.
+    Minimises sum rho(|m' - project(R X + t)| / s), X on the plane; rho is Huber's, s^2 = sigma^2 + misfit^2 with the
+    misfit that the residuals' median length asks for.
 
     Args:
         source_px, target_px: (M, 2) ideal pixels of the frame of the plane and of the other frame.
@@ -75,7 +76,7 @@ def fit_pose(
 
     Returns:
         R (3, 3) and t (3,) [m]; the Jacobian (6, M, 2) of the pixels by (rotation vector, translation); the weights
-        (M, 2) [1/px^2]; the misfit, how many times larger than sigma the residuals are (at least 1).
+        (M, 2) [1/px^2]; the misfit [px].
 
     Raises:
         MeasurementError: if it does not converge.
@@ -91,14 +92,16 @@ def fit_pose(
             break
         residual = target_px - camera.project(moved)
         jacobian = _jacobian(focal, turned, moved)
-        lengths, misfit = misfit_of(residual, sigma_px)
-        huber = np.minimum(1, robust_sigmas * misfit / np.maximum(lengths, 1e-12))
-        weights = huber[:, None] / sigma_px**2
+        misfit_px = misfit_of(residual, sigma_px)
+        variance = sigma_px**2 + misfit_px**2
+        lengths = np.sqrt(np.sum(residual**2 / variance, axis=1))
+        huber = np.minimum(1, robust_sigmas / np.maximum(lengths, 1e-12))
+        weights = huber[:, None] / variance
         weighted = jacobian * weights
         step = np.linalg.solve(np.einsum("pma,qma->pq", weighted, jacobian), np.einsum("pma,ma->p", weighted, residual))
         R, t = _displaced((R, t), step)
         if np.sqrt(np.mean(np.square(np.einsum("p,pma->ma", step, jacobian)))) < CONVERGED_PX:
-            return (R, t), jacobian, weights, misfit
+            return (R, t), jacobian, weights, misfit_px
     raise MeasurementError("the pose of the fixed region did not converge")
 
 

@@ -7,12 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from rgbd_dic_acquisition.calibration import Camera
+from scipy.optimize import brentq
 from scipy.sparse import csr_matrix
 
 from ..geometry import Plane, apply_homography
 from ..realignment import Realignment
 
 Array = NDArray[np.float64]
+MEDIAN_LENGTH = 1.1774  # of a normal residual in two dimensions, in standard deviations
 
 
 @dataclass(frozen=True)
@@ -97,15 +99,15 @@ class Compensation:
     coupling: (k, N, 2), covariance of the first k modes' unit errors with the errors of the subsets' moved_px: these
         modes come from the DIC's noise. The other modes, from the planes, have none.
     residual_px: RMS of the reprojection error of the fixed region's subsets that agree with the motion.
-    misfit: how many times larger than the DIC's uncertainty these errors are, at least 1; all uncertainties of the
-        frame's subsets grow by it.
+    misfit_px: standard deviation of what the subsets move beside the motion and the DIC's noise, on each axis; it adds
+        in quadrature to the uncertainty of every subset.
     """
 
     motion: Motion
     modes: tuple[Motion, ...]
     coupling: Array
     residual_px: float
-    misfit: float = 1.0
+    misfit_px: float = 0.0
 
 
 def reprojection_rms(motion: Motion, view: FrameView, used: NDArray[np.intp]) -> float:
@@ -114,10 +116,16 @@ def reprojection_rms(motion: Motion, view: FrameView, used: NDArray[np.intp]) ->
     return float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
 
 
-def misfit_of(residual_px: Array, sigma_px: Array) -> tuple[Array, float]:
-    """Lengths of residuals (M, 2) in units of their uncertainty (M,), and how many times larger they are than it says.
+def misfit_of(residual_px: Array, sigma_px: Array) -> float:
+    """Standard deviation [px] that residuals (M, 2) have on each axis beside their uncertainty (M, 2).
 
-    The median length of a normal residual in two dimensions is 1.1774 sigma (Rayleigh). At least 1.
+    The median length of a normal residual in two dimensions is 1.1774 sigma (Rayleigh); zero if it is not longer.
     """
-    lengths = np.linalg.norm(residual_px / sigma_px, axis=1)
-    return lengths, max(1.0, float(np.median(lengths)) / 1.1774)
+
+    def too_long(misfit_px: float) -> float:
+        lengths = np.sum(residual_px**2 / (sigma_px**2 + misfit_px**2), axis=1)
+        return float(np.median(lengths)) - MEDIAN_LENGTH**2
+
+    if too_long(0.0) <= 0:
+        return 0.0
+    return brentq(too_long, 0.0, float(np.abs(residual_px).max()), xtol=1e-6)

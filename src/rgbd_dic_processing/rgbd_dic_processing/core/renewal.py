@@ -1,0 +1,36 @@
+"""When the subsets should be carried to a newer keyframe: while the old one is still good, but less and less so."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .keyframe import Found, stretch
+from .search import SeedSource
+from .settings import RenewalSettings
+
+
+class RenewalNeed:
+    """Judges how well the images fit one keyframe.
+
+    Subsets that go missing ask for nothing: what hides them goes away again, and in a new keyframe they would be lost.
+    """
+
+    def __init__(self, settings: RenewalSettings):
+        self._settings = settings
+        self._best_zncc = -1.0
+        self._asking: list[float] = []
+
+    def judge(self, found: Found) -> bool:
+        """Whether this image should become the keyframe.
+
+        That is so when enough images in a row have asked for it, and this one is not among the poorer half of them.
+        """
+        of_itself = found.source == SeedSource.REFERENCE
+        if of_itself or not self._settings.after_frames or not found.correlation.valid.any():
+            return False
+        zncc = float(np.median(found.correlation.zncc[found.correlation.valid]))
+        self._best_zncc = max(self._best_zncc, zncc)
+        fading = zncc < self._best_zncc - self._settings.zncc_drop
+        stretched = stretch(found.jacobian.mean(axis=0)) > self._settings.max_stretch
+        self._asking = [*self._asking, zncc] if fading or stretched else []
+        return len(self._asking) >= self._settings.after_frames and zncc >= np.median(self._asking)
