@@ -71,9 +71,11 @@ class Camera:
         radius = distorted.copy()
         with np.errstate(all="ignore"):
             for _ in range(20):
-                r2 = radius**2
+                r2, before = radius**2, radius
                 slope = 1 + r2 * (3 * self.k1 + 5 * self.k2 * r2)
                 radius = radius - (radius * (1 + r2 * (self.k1 + self.k2 * r2)) - distorted) / slope
+                if not np.any(np.abs(radius - before) > 1e-15):
+                    break
             r2 = radius**2
             folded = (1 + r2 * (3 * self.k1 + 5 * self.k2 * r2)) <= 0
             residual = np.abs(radius * (1 + r2 * (self.k1 + self.k2 * r2)) - distorted)

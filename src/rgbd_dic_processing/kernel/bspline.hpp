@@ -87,7 +87,7 @@ inline std::vector<double> gaussian_weights(double sigma) {
 // The spline's derivative at a pixel, along its axis, as the sum of these weights times the pixels around it.
 // Along the other axis the spline passes through the pixels. What is cut off is below 1e-4 of it.
 inline std::vector<double> derivative_weights(const SplineDegree& spline) {
-  constexpr int kReach = 22;
+  constexpr int kReach = 12;
   std::vector<double>
       cardinal;  // coefficients of the spline through a single 1: those of the poles, convolved
   const int wide = kReach + 2;

@@ -155,12 +155,18 @@ class Regions:
 
 
 def inside(polygon_px: Array, points_px: Array) -> Mask:
-    """Which points (N, 2) lie inside a polygon (M, 2) or on its border."""
-    outline = np.asarray(polygon_px, np.float32).reshape(-1, 1, 2)
-    return np.array(
-        [cv2.pointPolygonTest(outline, (float(x), float(y)), False) >= 0 for x, y in np.asarray(points_px)],
-        bool,
-    )
+    """Which points (N, 2) lie inside a polygon (M, 2) or on its border: those whose ray to the right crosses it an odd
+    number of times."""
+    start = np.asarray(polygon_px, float)
+    end = np.roll(start, -1, axis=0)
+    edge = end - start
+    away = np.asarray(points_px, float)[:, None] - start
+    side = edge[:, 0] * away[..., 1] - edge[:, 1] * away[..., 0]  # positive: right of the edge as it runs, y down
+    along = np.sum(edge * away, axis=-1)
+    on_border = (side == 0) & (along >= 0) & (along <= np.sum(edge**2, axis=-1))
+    passes = (away[..., 1] < 0) != (away[..., 1] < edge[:, 1])
+    crossed = passes & ((side > 0) == (edge[:, 1] > 0))
+    return on_border.any(axis=1) | (crossed.sum(axis=1) % 2 == 1)
 
 
 def polygon_mask(polygon_px: Array, width: int, height: int) -> Mask:
