@@ -110,6 +110,13 @@ std::unique_ptr<Reference> make_reference(const py::array& image, const py::arra
                                      SubsetModel{subset_size, degree, order, smoothing}, threads);
 }
 
+py::array_t<std::uint8_t> reference_status(const Reference& reference, double min_contrast) {
+  py::array_t<std::uint8_t> status(reference.size());
+  for (std::ptrdiff_t i = 0; i < reference.size(); ++i)
+    status.mutable_at(i) = static_cast<std::uint8_t>(status_in_reference(reference, i, min_contrast));
+  return status;
+}
+
 std::unique_ptr<SplineImage> make_target(const py::array& image, int degree) {
   return std::make_unique<SplineImage>(*chosen_loops(), to_image(image), degree);
 }
@@ -214,6 +221,8 @@ PYBIND11_MODULE(_kernel, module) {
            "image: uint8 or float32 (rows, cols); centres: float64 (N, 2), x y of the points to be followed; "
            "subset_size: odd, px; degree of the B-spline: 3 or 5; order of the increment: 1 affine, 2 "
            "quadratic; smoothing of the gradients, px; threads: 0 for all cores.")
+      .def("status", &reference_status, arg("min_contrast"),
+           "uint8 (N,): of each subset, in the reference itself.")
       .def("__len__", &Reference::size);
 
   py::class_<SplineImage>(module, "Target", "An image that is searched.")

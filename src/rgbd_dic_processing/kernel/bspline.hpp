@@ -41,8 +41,10 @@ struct SplineDegree {
                                 ": the B-spline degree must be 3 or 5");
   }
 
-  // Pixels beyond which a coefficient does not feel a change, in float32.
-  int reach() const { return static_cast<int>(std::ceil(std::log(1e-9) / std::log(std::fabs(poles[0])))); }
+  // Pixels beyond which a coefficient feels less than this share of a change; 1e-9 is nothing in float32.
+  int reach(double share = 1e-9) const {
+    return static_cast<int>(std::ceil(std::log(share) / std::log(std::fabs(poles[0]))));
+  }
 };
 
 inline void filter_along_columns(const Loops& loops, PaddedImage& image, const SplineDegree& spline,
@@ -85,12 +87,12 @@ inline std::vector<double> gaussian_weights(double sigma) {
 }
 
 // The spline's derivative at a pixel, along its axis, as the sum of these weights times the pixels around it.
-// Along the other axis the spline passes through the pixels. What is cut off is below 1e-4 of it.
+// Along the other axis the spline passes through the pixels. What is cut off is below 1e-7 of it.
 inline std::vector<double> derivative_weights(const SplineDegree& spline) {
-  constexpr int kReach = 12;
+  const int reach = spline.reach(1e-7);
   std::vector<double>
       cardinal;  // coefficients of the spline through a single 1: those of the poles, convolved
-  const int wide = kReach + 2;
+  const int wide = reach + 2;
   for (int k = -wide; k <= wide; ++k) cardinal.push_back(k == 0 ? 1.0 : 0.0);
   for (int p = 0; p < spline.pole_count; ++p) {
     const double z = spline.poles[p], gain = (1.0 - z) * (1.0 - z) / (1.0 - z * z);
@@ -101,7 +103,7 @@ inline std::vector<double> derivative_weights(const SplineDegree& spline) {
     cardinal = next;
   }
   std::vector<double> weights;
-  for (int k = -kReach; k <= kReach; ++k)  // of the pixel k further on
+  for (int k = -reach; k <= reach; ++k)  // of the pixel k further on
     weights.push_back(spline.derivative[0] * (cardinal[wide - k + 1] - cardinal[wide - k - 1]) +
                       spline.derivative[1] * (cardinal[wide - k + 2] - cardinal[wide - k - 2]));
   return weights;

@@ -85,6 +85,15 @@ class SampleBuffer {
   std::unique_ptr<float, Delete> values_;
 };
 
+// Whether a subset can be searched at all.
+inline SubsetStatus status_in_reference(const Reference& reference, std::ptrdiff_t index, double min_contrast) {
+  const Subset& subset = reference[index];
+  if (subset.state == Subset::State::kOutside) return SubsetStatus::kOutsideImage;
+  const bool textured = subset.state == Subset::State::kUsable &&
+                        subset.contrast(reference.layout().count()) >= min_contrast;
+  return textured ? SubsetStatus::kConverged : SubsetStatus::kLowTexture;
+}
+
 // One subset against the target.
 class SubsetMatch {
  public:
@@ -105,9 +114,8 @@ class SubsetMatch {
     for (const Polynomial& line : seed)
       for (const double coefficient : line)
         if (std::isnan(coefficient)) return ended(SubsetStatus::kSkipped);
-    if (subset_->state == Subset::State::kOutside) return ended(SubsetStatus::kOutsideImage);
-    if (subset_->state == Subset::State::kSingular || subset_->contrast(n) < limits_.min_contrast)
-      return ended(SubsetStatus::kLowTexture);
+    const SubsetStatus before = status_in_reference(reference_, index, limits_.min_contrast);
+    if (before != SubsetStatus::kConverged) return ended(before);
 
     const SubsetEquations equations = reference_.equations(index);
     pixels_ = reference_.pixels(*subset_);

@@ -117,8 +117,8 @@ class Reference {
     const std::vector<double> derivative = derivative_weights(SplineDegree::of(model.degree));
     const PaddedImage dx = weighted(loops, f_, derivative, one, threads);
     const PaddedImage dy = weighted(loops, f_, one, derivative, threads);
-    jx_ = weighted(loops, f_, convolved(derivative, gaussian), gaussian, threads);
-    jy_ = weighted(loops, f_, gaussian, convolved(derivative, gaussian), threads);
+    jx_ = weighted(loops, dx, gaussian, gaussian, threads);
+    jy_ = weighted(loops, dy, gaussian, gaussian, threads);
     parallel_blocks(count, 64, threads, [&](int, std::ptrdiff_t begin, std::ptrdiff_t end) {
       for (std::ptrdiff_t i = begin; i < end; ++i) prepare(i, centres[2 * i], centres[2 * i + 1], dx, dy);
     });
@@ -225,7 +225,9 @@ class Reference {
       const double taken_off = n * mean_j[a] * mean_d[a] + subset.power * share_j[a] * share_d[a];
       if (!(jd[a * (p + 1)] > kRounding * taken_off)) return;
     }
-    if (!invert(jd, p, inverse)) return;
+    // Along stripes the gradient is but rounding, which the scaling in invert() would hide.
+    const double along_x = jd[0], along_y = jd[monomials * (p + 1)];
+    if (!(std::min(along_x, along_y) > 1e-6 * std::max(along_x, along_y)) || !invert(jd, p, inverse)) return;
 
     // Rows of the inverse that give the displacement of the point: with its powers as weights.
     const double xi = subset.away_x, eta = subset.away_y;

@@ -154,6 +154,14 @@ class ReferenceSubsets:
     def __len__(self) -> int:
         return len(self.centres_px)
 
+    def itself(self) -> Correlation:
+        """All subsets in the reference itself, where they are for certain if they have texture."""
+        status = self._reference.status(self.settings.min_contrast)
+        found = status == SubsetStatus.CONVERGED
+        certain = np.where(found, 0, np.nan).astype(np.float32)
+        x_px, y_px = np.where(found, self.centres_px.T, np.nan)
+        return Correlation(x_px, y_px, certain, certain, 1 + certain, np.zeros(len(self), np.uint8), status)
+
     def target(self, image: NDArray) -> Target:
         """Make (rows, cols) grey values ready for any number of calls of correlate()."""
         return Target(image, self.settings)

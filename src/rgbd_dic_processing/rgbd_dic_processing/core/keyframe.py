@@ -103,7 +103,7 @@ class Keyframe:
         settings = replace(correlation, step=max(1, round(correlation.step * scale)))
         self._subsets = ReferenceSubsets(image, centres_px, settings)
         self._maps = SeedMaps(camera, np.rint(centres_px), reach_px=side_px / 2)
-        self._itself = self._subsets.correlate(self._subsets.target(image), self._maps.seeds(np.eye(3)))
+        self._itself = self._subsets.itself()
         self.textured = self._itself.valid
 
     @cached_property

@@ -26,8 +26,7 @@ class SubsetLayout:
 
     def __init__(self, camera: Camera, regions: Regions, settings: CorrelationSettings):
         grid = (camera.width, camera.height, settings.subset_size, settings.step)
-        regions.check(*grid)
-        drawn = regions.subset_centres(*grid).astype(float)
+        drawn = regions.check(*grid).astype(float)
         self.drawn_px = drawn[np.isfinite(camera.undistort(drawn)).all(axis=1)]
         self._camera, self._half_px = camera, settings.subset_size // 2
         self._regions = {"panel": np.ones(len(self), bool), "fixed region": regions.fixed_members(self.drawn_px)}

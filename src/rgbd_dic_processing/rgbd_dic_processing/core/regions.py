@@ -101,8 +101,11 @@ class Regions:
             return inside(self.panel, points_px)
         return np.any([inside(polygon, points_px) for polygon in self.fixed], axis=0)
 
-    def check(self, width: int, height: int, subset_size: int, step: int) -> None:
+    def check(self, width: int, height: int, subset_size: int, step: int) -> NDArray[np.int32]:
         """Refuse regions that cannot work on an image of this size [px].
+
+        Returns:
+            As `subset_centres`.
 
         Raises:
             RegionsError: naming the region and what is wrong with it.
@@ -121,7 +124,7 @@ class Regions:
                     "draw the regions on this camera's reference image"
                 )
         centres = self.subset_centres(width, height, subset_size, step)
-        members = [("fixed", self.fixed_members(centres))]
+        members = [("fixed", self.fixed_members(centres))] if self.fixed else []
         if self.crack is not None:
             members += [
                 ("crack: left zone", inside(self.crack.left, centres)),
@@ -133,6 +136,7 @@ class Regions:
                     f"{name} holds no subset centre (subsets of {subset_size} px every {step} px inside the panel): "
                     "make it larger, move it into the panel, or choose a smaller step"
                 )
+        return centres
 
     def subset_centres(self, width: int, height: int, subset_size: int, step: int) -> NDArray[np.int32]:
         """Centres (N, 2) of the subsets that lie wholly inside the panel, row by row.
