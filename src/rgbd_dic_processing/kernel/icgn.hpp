@@ -86,11 +86,12 @@ class SampleBuffer {
 };
 
 // Whether a subset can be searched at all.
-inline SubsetStatus status_in_reference(const Reference& reference, std::ptrdiff_t index, double min_contrast) {
+inline SubsetStatus status_in_reference(const Reference& reference, std::ptrdiff_t index,
+                                        double min_contrast) {
   const Subset& subset = reference[index];
   if (subset.state == Subset::State::kOutside) return SubsetStatus::kOutsideImage;
-  const bool textured = subset.state == Subset::State::kUsable &&
-                        subset.contrast(reference.layout().count()) >= min_contrast;
+  const bool textured =
+      subset.state == Subset::State::kUsable && subset.contrast(reference.layout().count()) >= min_contrast;
   return textured ? SubsetStatus::kConverged : SubsetStatus::kLowTexture;
 }
 
@@ -169,7 +170,8 @@ class SubsetMatch {
                            step < kMaxLastStep * limits_.tolerance_px;
       if (!arrived) continue;
       if (result_.zncc < limits_.min_zncc) return failed(SubsetStatus::kLowCorrelation, seed);
-      return judged(sums.r_r, composed(seed, increment));
+      for (double& parameter : dp) parameter *= relaxation;
+      return judged(dp, composed(seed, increment));
     }
     return failed(SubsetStatus::kNotConverged, seed);
   }
@@ -196,22 +198,27 @@ class SubsetMatch {
                     local_, g_);
   }
 
-  // The result of a subset that came to rest with this residual.
-  const SubsetResult& judged(double r_r, const Quadratic& warp) {
+  // The result of a subset that comes to rest with the step dp.
+  const SubsetResult& judged(const std::array<double, kMaxParameters>& dp, const Quadratic& warp) {
+    const Residuals residuals = residuals_after(dp);
     // Residual variance with p + 2 parameters estimated, for white noise of equal strength in both images:
     // sampling between pixels weakens the target's share of the residual, but not what it does to the
     // parameters, which depend on low frequencies only.
     const double gain = loops_.mean_gain(layout_, local_, reference_.noise_gain().sample());
     const double strength = 2.0 / (1.0 + gain);
-    const double variance = strength * r_r / (layout_.count() - reference_.model().parameters() - 2);
-    const Misfit misfit = this->misfit(strength);
+    const double variance =
+        strength * residuals.power / (layout_.count() - reference_.model().parameters() - 2);
+    const Misfit misfit = this->misfit(residuals, strength);
     if (misfit.torn) return ended(SubsetStatus::kTorn);
 
     const double u = noise_factor(0.5 * variance, subset_->noise_jj_u, subset_->noise_jd_u);
     const double v = noise_factor(0.5 * variance, subset_->noise_jj_v, subset_->noise_jd_v);
-    const double uu = variance * u * u * subset_->uu + misfit.bias_u * misfit.bias_u + misfit.variance;
-    const double uv = variance * u * v * subset_->uv + misfit.bias_u * misfit.bias_v;
-    const double vv = variance * v * v * subset_->vv + misfit.bias_v * misfit.bias_v + misfit.variance;
+    // A pixel of the target is more or less than one of the reference.
+    const double determinant = warp[0][1] * warp[1][2] - warp[0][2] * warp[1][1];
+    const double spread = variance * 0.5 * (1.0 + 1.0 / std::fabs(determinant));
+    const double uu = spread * u * u * subset_->uu + misfit.bias_u * misfit.bias_u + misfit.variance;
+    const double uv = spread * u * v * subset_->uv + misfit.bias_u * misfit.bias_v;
+    const double vv = spread * v * v * subset_->vv + misfit.bias_v * misfit.bias_v + misfit.variance;
     const double xi = subset_->away_x, eta = subset_->away_y;
     const auto sigma = [&](const Polynomial& w) {  // through the Jacobian of the whole warp
       const double along_xi = w[1] + 2.0 * w[3] * xi + w[4] * eta,
@@ -234,6 +241,39 @@ class SubsetMatch {
            (1.0 - std::min(noise_variance * jd, 0.5));
   }
 
+  // Of the blocks, and over all of them.
+  struct Residuals {
+    BlockResidual blocks[kBlocks];
+    double power;  // sum of r^2
+  };
+
+  // Those of the last samples, with the step that follows from them taken: r + D dp, dp as it is in the
+  // middle of each block.
+  Residuals residuals_after(const std::array<double, kMaxParameters>& dp) const {
+    Residuals after{};
+    loops_.block_residuals(layout_, pixels_, static_cast<float>(subset_->mean), g_, mean_g_, scale_,
+                           after.blocks);
+    const int monomials = reference_.model().parameters() / 2, size = layout_.size();
+    for (int k = 0; k < kBlocks; ++k) {
+      const double xi = 0.5 * (block_start(k % kSide, size) + block_start(k % kSide + 1, size) - size);
+      const double eta = 0.5 * (block_start(k / kSide, size) + block_start(k / kSide + 1, size) - size);
+      const double powers[kMaxMonomials] = {1.0, xi, eta, xi * xi, xi * eta, eta * eta};
+      double u = 0.0, v = 0.0;
+      for (int m = 0; m < monomials; ++m) {
+        u += dp[m] * powers[m];
+        v += dp[monomials + m] * powers[m];
+      }
+      const BlockProducts& block = subset_->blocks[k];
+      BlockResidual& r = after.blocks[k];
+      const double along_x = block.jx_dx * u + block.jx_dy * v, along_y = block.jy_dx * u + block.jy_dy * v;
+      r.r_r += static_cast<float>(u * (2.0 * r.r_jx + along_x) + v * (2.0 * r.r_jy + along_y));
+      r.r_jx += static_cast<float>(along_x);
+      r.r_jy += static_cast<float>(along_y);
+      after.power += r.r_r;
+    }
+    return after;
+  }
+
   // How the parts of a subset that came to rest are displaced against the whole.
   struct Misfit {
     bool torn = false;
@@ -247,26 +287,22 @@ class SubsetMatch {
   // uncertainty, as does the bias of an affine fit to a quadratic displacement. Blocks are weighed by their
   // texture: with s = J^T r and N = J^T D of a block, it moves by N^-1 s, which takes s^T N^-1 s off the
   // residual's power. `strength` is the noise's variance per variance of the residual.
-  Misfit misfit(double strength) const {
+  Misfit misfit(const Residuals& residuals, double strength) const {
     constexpr double kUnlike = 0.1 /* 1 - ZNCC */, kUneven = 4.0 /* between residual variances */;
     constexpr double kSignificant = 2.0;  // ratio of variances; hardly ever by chance
-    BlockResidual residuals[kBlocks];
-    loops_.block_residuals(layout_, pixels_, static_cast<float>(subset_->mean), g_, mean_g_, scale_,
-                           residuals);
     Misfit result;
 
     std::array<double, 2 * kSide> r_r{}, f_f{}, count{};  // of the strips
-    double power = 0.0, explained = 0.0, texture = 0.0;
+    double explained = 0.0, texture = 0.0;
     int free = 0;
     for (int k = 0; k < kBlocks; ++k) {
       const BlockProducts& block = subset_->blocks[k];
-      const BlockResidual& r = residuals[k];
+      const BlockResidual& r = residuals.blocks[k];
       for (const int strip : {k / kSide, kSide + k % kSide}) {
         r_r[strip] += r.r_r;
         f_f[strip] += block.f_f;
         count[strip] += block.count;
       }
-      power += r.r_r;
       const double determinant =
           static_cast<double>(block.jx_dx) * block.jy_dy - static_cast<double>(block.jx_dy) * block.jy_dx;
       if (!(determinant > 0.05 * block.jx_dx * block.jy_dy)) continue;  // says little across its texture
@@ -284,10 +320,10 @@ class SubsetMatch {
     constexpr int kParameters = kMaxParameters;
     const int left = layout_.count() - free - 2;
     if (result.torn || free <= kParameters || left < free) return result;
-    const double noise = strength * (power - explained) / left;
+    const double noise = strength * (residuals.power - explained) / left;
     if (!(explained > kSignificant * noise * free)) return result;
 
-    const std::array<double, kParameters> bend = quadratic_displacement(residuals, explained);
+    const std::array<double, kParameters> bend = quadratic_displacement(residuals.blocks, explained);
     result.bias_u = bend[0];
     result.bias_v = bend[kMaxMonomials];
     if (explained > kSignificant * noise * (free - kParameters)) {

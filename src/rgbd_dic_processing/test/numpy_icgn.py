@@ -74,7 +74,7 @@ def correlate(
     degree: int = 5,
     max_iterations: int = 20,
     tolerance_px: float = 1e-4,
-    smoothing_px: float = 0.7,
+    smoothing_px: float = 0.8,
 ) -> TwinResult:
     """One subset that converges; `seed` is (2, 6)."""
     half = subset_size // 2
@@ -130,6 +130,7 @@ def correlate(
         moved = affine @ [*shift, 1.0]
         return seed @ basis(moved[0], moved[1])
 
+    residual = residual + design[:, :6] @ step  # as it is after the last step
     gain = np.mean(noise_gain(x, degree) * noise_gain(y, degree))
     variance = residual @ residual / (f.size - 8) * 2 / (1 + gain)
     to_shift = inverse[[0, 3]] @ weights.T  # of the residual
@@ -137,6 +138,7 @@ def correlate(
     covariance = variance * (to_shift @ to_shift.T) * np.outer(factor, factor)
     nudge = 1e-4
     jacobian = np.stack([(centre_at(d) - centre_at(-d)) / (2 * nudge) for d in nudge * np.eye(2)], axis=1)
-    sigma_x, sigma_y = np.sqrt(np.diag(jacobian @ covariance @ jacobian.T))
+    spread = (1 + 1 / np.linalg.det(jacobian)) / 2  # a pixel of the target is more or less than one of the reference
+    sigma_x, sigma_y = np.sqrt(spread * np.diag(jacobian @ covariance @ jacobian.T))
     zncc = f @ g / (np.linalg.norm(f) * np.linalg.norm(g))
     return TwinResult(*centre_at(np.zeros(2)), sigma_x, sigma_y, zncc, iterations)

@@ -50,7 +50,7 @@ class CorrelationSettings(Settings):
     step: int = setting(10, unit="px", low=1, high=1000, doc="Distance between the centres of the grid.")
     spline_degree: int = setting(5, low=3, high=5, doc="Degree of the interpolating B-spline: 3 or 5.")
     gradient_smoothing_px: float = setting(
-        0.7, unit="px", low=0.0, high=5.0, doc="Gaussian that smooths the gradients that weigh the residuals; 0: none."
+        0.8, unit="px", low=0.0, high=5.0, doc="Gaussian that smooths the gradients that weigh the residuals; 0: none."
     )
     increment_order: int = setting(
         1, low=1, high=2, doc="Order of the increment on top of the predicted warp: 1 affine, 2 for curved surfaces."

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import deque
+
 import numpy as np
 
 from .keyframe import Found, stretch
@@ -18,7 +20,7 @@ class RenewalNeed:
     def __init__(self, settings: RenewalSettings):
         self._settings = settings
         self._best_zncc = -1.0
-        self._asking: list[float] = []
+        self._asking: deque[float] = deque(maxlen=settings.after_frames)
 
     def judge(self, found: Found) -> bool:
         """Whether this image should become the keyframe.
@@ -32,5 +34,8 @@ class RenewalNeed:
         self._best_zncc = max(self._best_zncc, zncc)
         fading = zncc < self._best_zncc - self._settings.zncc_drop
         stretched = stretch(found.jacobian.mean(axis=0)) > self._settings.max_stretch
-        self._asking = [*self._asking, zncc] if fading or stretched else []
-        return len(self._asking) >= self._settings.after_frames and zncc >= np.median(self._asking)
+        if not (fading or stretched):
+            self._asking.clear()
+            return False
+        self._asking.append(zncc)
+        return len(self._asking) == self._asking.maxlen and zncc >= np.median(self._asking)

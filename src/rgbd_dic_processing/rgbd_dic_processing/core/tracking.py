@@ -37,7 +37,8 @@ class SubsetTracking:
         renewal: RenewalSettings | None = None,
     ):
         self._camera, self._regions = camera, regions
-        self._correlation, self._search, self._renewal = correlation, search, renewal or RenewalSettings()
+        self._correlation, self._renewal = correlation, renewal or RenewalSettings()
+        self._for_keyframes = (camera, correlation, search)
         self._newest_ns = -1
         self._layout: SubsetLayout | None = None
         self._keyframe: Keyframe | None = None
@@ -115,7 +116,8 @@ class SubsetTracking:
         if refusal := self._out_of_view(places_px):
             return refusal
         members = np.flatnonzero(self._layout.whole(places_px))
-        keyframe = self._made(stamp_ns, image, members, places_px, homography, Chain.start(len(members)))
+        start, settings = Chain.start(len(members)), self._for_keyframes
+        keyframe = Keyframe(stamp_ns, image, members, places_px[members], homography, start, *settings)
         textured = self._layout.mask(members[keyframe.textured])
         if short := self._layout.shortage(textured, LEAST_TEXTURED):
             return f"no reference: only {short} have texture (light? focus?)"
@@ -139,21 +141,11 @@ class SubsetTracking:
             return refusal
         kept = self._layout.whole(tracked.moved_px)
         chain = self._keyframe.chain_from(found, kept[self._keyframe.members])
-        keyframe = self._made(stamp_ns, image, np.flatnonzero(kept), tracked.moved_px, tracked.homography, chain)
-        self._follow_from(keyframe)
+        centres, settings = tracked.moved_px[kept], self._for_keyframes
+        self._follow_from(
+            Keyframe(stamp_ns, image, np.flatnonzero(kept), centres, tracked.homography, chain, *settings)
+        )
         return ""
-
-    def _made(
-        self,
-        stamp_ns: int,
-        image: NDArray[np.uint8],
-        members: NDArray[np.intp],
-        places_px: Array,
-        homography: Array,
-        chain: Chain,
-    ) -> Keyframe:
-        settings = (self._camera, self._correlation, self._search)
-        return Keyframe(stamp_ns, image, members, places_px[members], homography, chain, *settings)
 
     def _follow_from(self, keyframe: Keyframe) -> None:
         self._keyframe, self._wants_keyframe = keyframe, False

@@ -34,8 +34,7 @@ def write_report(folder: Path, truth: Path | None = None) -> Path:
     truth = truth or (folder / TRUTH_NAME if (folder / TRUTH_NAME).exists() else None)
     known = read_truth(truth) if truth is not None else None
     regions = load_regions(folder / REGIONS_NAME) if (folder / REGIONS_NAME).exists() else None
-    reference_ns = run.reference.stamp_ns if run.reference is not None else None
-    methods = series.of_run(run.openings, known, reference_ns)
+    methods = series.of_run(run.openings, known)
     try:
         with drawing.appearance():
             pictures = [

@@ -60,35 +60,30 @@ class Series:
         return self.opening_mm - self.truth_mm
 
 
-def of_run(openings: Sequence[CrackOpening], truth: Truth | None, reference_ns: int | None = None) -> list[Series]:
-    """One series for each method that the run has; none if it has no openings.
-
-    Args:
-        reference_ns: stamp of the reference image; None takes the first frame for it.
-    """
+def of_run(openings: Sequence[CrackOpening], truth: Truth | None) -> list[Series]:
+    """One series for each method that the run has; none if it has no openings."""
     start_ns = min((opening.stamp_ns for opening in openings), default=0)
     return [
-        _series(
-            sorted((o for o in openings if o.method == method), key=lambda o: o.stamp_ns), start_ns, truth, reference_ns
-        )
+        _series(sorted((o for o in openings if o.method == method), key=lambda o: o.stamp_ns), start_ns, truth)
         for method in method_order({opening.method for opening in openings})
     ]
 
 
-def true_opening_mm(stamps_ns: NDArray[np.int64], truth: Truth, reference_ns: int | None = None) -> Array:
-    """True opening at each stamp less that at the reference; NaN at stamps that the truth lacks.
+def true_opening_mm(openings: Sequence[CrackOpening], truth: Truth) -> Array:
+    """True opening of each frame less that at its reference; NaN for frames that the truth lacks.
 
-    Where the truth lacks the reference too, the first stamp that it holds takes its place.
+    Where the truth lacks the reference too, the first frame that it holds takes its place.
     """
     index = {int(stamp): i for i, stamp in enumerate(truth.stamps_ns)}
-    rows = np.array([index.get(int(stamp), -1) for stamp in stamps_ns], int)
+    rows = np.array([index.get(opening.stamp_ns, -1) for opening in openings], int)
     if np.all(rows < 0):
         return np.full(len(rows), np.nan)
-    start = index.get(reference_ns, rows[rows >= 0][0])
+    first = rows[rows >= 0][0]
+    start = np.array([index.get(opening.reference_stamp_ns, first) for opening in openings], int)
     return np.where(rows < 0, np.nan, truth.jump_m[rows, 0] - truth.jump_m[start, 0]) * 1e3
 
 
-def _series(openings: list[CrackOpening], start_ns: int, truth: Truth | None, reference_ns: int | None) -> Series:
+def _series(openings: list[CrackOpening], start_ns: int, truth: Truth | None) -> Series:
     stamps = np.array([opening.stamp_ns for opening in openings], np.int64)
     status = np.array([opening.status for opening in openings], np.int64)
 
@@ -105,7 +100,7 @@ def _series(openings: list[CrackOpening], start_ns: int, truth: Truth | None, re
         (stamps - start_ns) * 1e-9,
         of_valid(column("opening_m", 1e3)),
         of_valid(column("u_opening_m", 1e3)),
-        np.full(len(stamps), np.nan) if truth is None else true_opening_mm(stamps, truth, reference_ns),
+        np.full(len(stamps), np.nan) if truth is None else true_opening_mm(openings, truth),
         of_valid(column("n_left")),
         of_valid(column("n_right")),
         column("depth_offset_s", 1e3),
