@@ -1,7 +1,7 @@
 # `make demo` and `make test` are all that a newcomer needs; each does the set-up that is missing.
 SHELL := /bin/bash
 .DEFAULT_GOAL := help
-.PHONY: help setup build demo test test-slow lint format docs sample lock clean
+.PHONY: help setup build demo test test-slow sanitize bench bench-real lint format docs sample lock clean
 
 run := tools/run
 
@@ -28,6 +28,17 @@ test: build                      ## all tests but the slow ones
 test-slow: build                 ## the slow tests too
 	@$(run) python -m pytest $(PYTEST_ARGS)
 
+sanitize: build                  ## the kernel's tests under sanitizers (GCC), with many random calls
+	@tools/sanitize.sh
+
+bench: build                     ## this engine beside its peers: docs/benchmark.md; QUICK=1 for a short run
+	@tools/bench/environment.sh || echo "peers that cannot be installed are reported as such"
+	@$(run) python tools/bench/run.py $(if $(QUICK),--quick)
+
+bench-real: build                ## the regression on real images alone
+	@tools/bench/environment.sh
+	@$(run) python tools/bench/run.py --real
+
 lint: .venv/.installed           ## formatting and lint, as CI checks them
 	@.venv/bin/ruff format --check --quiet src test tools || { echo "not formatted: run make format"; exit 1; }
 	@.venv/bin/ruff check --quiet src test tools
@@ -45,9 +56,12 @@ sample: build                    ## bags/sample, anew
 	@rm -rf bags/sample
 	@$(run) rgbd-dic simulate --preset sample --out bags/sample
 
-lock:                            ## requirements.txt from requirements.in (needs uv)
-	UV_PYTHON_DOWNLOADS=never uv pip compile --universal --python-version 3.10 --generate-hashes \
-	  --no-emit-index-url --no-emit-find-links --no-annotate --no-header requirements.in -o requirements.txt
+compile := UV_PYTHON_DOWNLOADS=never uv pip compile --universal --generate-hashes --no-emit-index-url \
+	  --no-emit-find-links --no-annotate --no-header
+lock:                            ## the pinned requirements from requirements*.in (needs uv)
+	$(compile) --python-version 3.10 requirements.in -o requirements.txt
+	$(compile) --python-version 3.11 --override tools/bench/left_out.txt requirements-bench.in \
+	  -o requirements-bench.txt
 
 clean:                           ## all that was built, but not the virtual environment
 	rm -rf build install log results

@@ -215,7 +215,7 @@ class SubsetMatch {
     const double v = noise_factor(0.5 * variance, subset_->noise_jj_v, subset_->noise_jd_v);
     // A pixel of the target is more or less than one of the reference.
     const double determinant = warp[0][1] * warp[1][2] - warp[0][2] * warp[1][1];
-    const double spread = variance * 0.5 * (1.0 + 1.0 / std::fabs(determinant));
+    const double spread = misfit.noise * variance * 0.5 * (1.0 + 1.0 / std::fabs(determinant));
     const double uu = spread * u * u * subset_->uu + misfit.bias_u * misfit.bias_u + misfit.variance;
     const double uv = spread * u * v * subset_->uv + misfit.bias_u * misfit.bias_v;
     const double vv = spread * v * v * subset_->vv + misfit.bias_v * misfit.bias_v + misfit.variance;
@@ -277,16 +277,18 @@ class SubsetMatch {
   // How the parts of a subset that came to rest are displaced against the whole.
   struct Misfit {
     bool torn = false;
+    double noise = 1.0;  // variance of the noise that moves the parts, over that of the residual
     double bias_u = 0.0, bias_v = 0.0;  // of the point, for want of second-order terms, px
     double variance = 0.0;              // of the point, for what a quadratic displacement leaves, px^2
   };
 
   // A subset is torn, by a crack or the border of something in front, if a strip of it is far less like the
-  // reference than another, or if letting its blocks move each by itself explains much more of the residual
-  // than noise and a quadratic displacement would, by more than max_misfit_px; less than that adds to the
-  // uncertainty, as does the bias of an affine fit to a quadratic displacement. Blocks are weighed by their
-  // texture: with s = J^T r and N = J^T D of a block, it moves by N^-1 s, which takes s^T N^-1 s off the
-  // residual's power. `strength` is the noise's variance per variance of the residual.
+  // reference than another, or if its blocks, each free to move by itself, move as a step makes them, by more
+  // than max_misfit_px. Blocks are weighed by their texture: with s = J^T r and N = J^T D of a block, it
+  // moves by N^-1 s, which takes s^T N^-1 s off the residual's power. White noise would explain little by
+  // that. If more is explained, a quadratic displacement comes first; it says how far an affine fit is off.
+  // Next come cubic terms, which a step is mostly made of. What is left is noise that is not white.
+  // `strength` is the noise's variance per variance of the residual.
   Misfit misfit(const Residuals& residuals, double strength) const {
     constexpr double kUnlike = 0.1 /* 1 - ZNCC */, kUneven = 4.0 /* between residual variances */;
     constexpr double kSignificant = 2.0;  // ratio of variances; hardly ever by chance
@@ -317,61 +319,76 @@ class SubsetMatch {
     for (int strip = 0; strip < 2 * kSide; ++strip)
       result.torn |= r_r[strip] > 2.0 * kUnlike * f_f[strip] && r_r[strip] > kUneven * least * count[strip];
 
-    constexpr int kParameters = kMaxParameters;
+    constexpr int kQuadratic = 6, kCubic = 10;  // monomials
     const int left = layout_.count() - free - 2;
-    if (result.torn || free <= kParameters || left < free) return result;
-    const double noise = strength * (residuals.power - explained) / left;
-    if (!(explained > kSignificant * noise * free)) return result;
+    if (result.torn || free <= 2 * kCubic || left < free) return result;
+    const double white = strength * (residuals.power - explained) / left;
+    if (!(explained > kSignificant * white * free)) return result;
 
-    const std::array<double, kParameters> bend = quadratic_displacement(residuals.blocks, explained);
-    result.bias_u = bend[0];
-    result.bias_v = bend[kMaxMonomials];
-    if (explained > kSignificant * noise * (free - kParameters)) {
-      // A step of 1 px through the middle moves the centre by 0.5 px and leaves 0.22 px.
+    const BlockDisplacement quadratic = block_displacement(residuals.blocks, kQuadratic);
+    const double cubic = block_displacement(residuals.blocks, kCubic).explained - quadratic.explained;
+    const double rest = std::max(explained - quadratic.explained - cubic, 0.0) / (free - 2 * kCubic);
+    if (rest > kSignificant * white) result.noise = rest / white;
+    const double noise = std::max(rest, white);
+    if (quadratic.explained > kSignificant * noise * 2 * kQuadratic) {
+      result.bias_u = quadratic.u;
+      result.bias_v = quadratic.v;
+    }
+    if (cubic > kSignificant * noise * 2 * (kCubic - kQuadratic)) {
+      // A step of 1 px through the middle moves the centre by 0.5 px and leaves 0.22 px beside a quadratic.
       constexpr double kStep = 0.5 / 0.22;
-      const double unexplained = explained / texture;
+      const double unexplained = cubic / texture;
       result.torn = unexplained > limits_.max_misfit_px * limits_.max_misfit_px;
       result.variance = kStep * kStep * unexplained;
     }
     return result;
   }
 
-  // The quadratic displacement, in [1, xi, eta, xi^2, xi eta, eta^2] / half^degree for u, then v, that
-  // explains most of the block residuals; what it explains is taken off `explained`. Zero if it is not
-  // determined.
-  std::array<double, kMaxParameters> quadratic_displacement(const BlockResidual (&residuals)[kBlocks],
-                                                            double& explained) const {
-    constexpr int p = kMaxParameters, m = kMaxMonomials;
+  struct BlockDisplacement {
+    double explained = 0.0;   // of the residual's power
+    double u = 0.0, v = 0.0;  // in the middle of the subset, px
+  };
+
+  // The displacement that explains most of the block residuals, a polynomial in each direction, of the first
+  // `monomials` of [1, xi, eta, xi^2, xi eta, eta^2, xi^3, ...]. Zero if it is not determined.
+  BlockDisplacement block_displacement(const BlockResidual (&residuals)[kBlocks], int monomials) const {
+    const int p = 2 * monomials;
     Square normal{}, inverse{};
-    std::array<double, p> right{}, solution{};
-    const double half = layout_.half + 0.5;
-    const auto middle = [&](int k) {  // of a block, and half of its width, relative to half
-      const double first = block_start(k, layout_.size()), end = block_start(k + 1, layout_.size());
-      return std::pair(0.5 * (first + end) / half - 1.0, 0.5 * (end - first) / half);
+    std::array<double, kMaxUnknowns> right{};
+    const auto middle = [&](int k) {  // of a block, -1 to 1 over the subset, and half of its width
+      const double size = layout_.size(), first = block_start(k, layout_.size()),
+                   end = block_start(k + 1, layout_.size());
+      return std::pair((first + end) / size - 1.0, (end - first) / size);
     };
     for (int k = 0; k < kBlocks; ++k) {
       const BlockProducts& block = subset_->blocks[k];
       const auto [x, wide] = middle(k % kSide);
       const auto [y, high] = middle(k / kSide);
-      const double powers[m] = {1.0, x, y, x * x + wide * wide / 3.0, x * y, y * y + high * high / 3.0};
-      for (int a = 0; a < m; ++a) {
+      const double xx = x * x + wide * wide / 3.0, yy = y * y + high * high / 3.0;  // means over the block
+      const double powers[] = {
+          1.0, x, y, xx, x * y, yy, x * (x * x + wide * wide), xx * y, x * yy, y * (y * y + high * high)};
+      for (int a = 0; a < monomials; ++a) {
         right[a] += powers[a] * residuals[k].r_jx;
-        right[m + a] += powers[a] * residuals[k].r_jy;
-        for (int b = 0; b < m; ++b) {
+        right[monomials + a] += powers[a] * residuals[k].r_jy;
+        for (int b = 0; b < monomials; ++b) {
           const double share = powers[a] * powers[b];
           normal[a * p + b] += share * block.jx_dx;
-          normal[a * p + m + b] += share * block.jx_dy;
-          normal[(m + a) * p + b] += share * block.jy_dx;
-          normal[(m + a) * p + m + b] += share * block.jy_dy;
+          normal[a * p + monomials + b] += share * block.jx_dy;
+          normal[(monomials + a) * p + b] += share * block.jy_dx;
+          normal[(monomials + a) * p + monomials + b] += share * block.jy_dy;
         }
       }
     }
-    if (!invert(normal, p, inverse.data())) return solution;
+    BlockDisplacement result;
+    if (!invert(normal, p, inverse.data())) return result;
     for (int a = 0; a < p; ++a) {
-      for (int b = 0; b < p; ++b) solution[a] += inverse[a * p + b] * right[b];
-      explained -= solution[a] * right[a];
+      double parameter = 0.0;
+      for (int b = 0; b < p; ++b) parameter += inverse[a * p + b] * right[b];
+      result.explained += parameter * right[a];
+      if (a == 0) result.u = parameter;
+      if (a == monomials) result.v = parameter;
     }
-    return solution;
+    return result;
   }
 
   // The end of a subset that was not found: torn, if where the seed puts it a strip matches and another does

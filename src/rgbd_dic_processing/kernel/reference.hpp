@@ -61,13 +61,14 @@ struct SubsetEquations {
   const double *inverse, *mean_j, *share_j;
 };
 
-using Square = std::array<double, kMaxParameters * kMaxParameters>;  // p x p of it, row by row
+constexpr int kMaxUnknowns = 20;
+using Square = std::array<double, kMaxUnknowns * kMaxUnknowns>;  // p x p of it, row by row
 
 // Inverts a matrix close to a symmetric positive definite one by Gauss-Jordan elimination, its rows and
 // columns scaled to a unit diagonal. False if a pivot falls below 1e-6: the texture does not determine all
 // parameters.
 inline bool invert(Square& matrix, int n, double* inverse) {
-  std::array<double, kMaxParameters> scale{};
+  std::array<double, kMaxUnknowns> scale{};
   for (int i = 0; i < n; ++i) {
     if (!(matrix[i * n + i] > 0.0)) return false;
     scale[i] = 1.0 / std::sqrt(matrix[i * n + i]);
