@@ -131,22 +131,22 @@ inline PaddedImage weighted(const Loops& loops, const PaddedImage& image, const 
   PaddedImage result(rows, cols);
   const std::ptrdiff_t padded = cols + 2 * reach_x;
   std::vector<float> lines(static_cast<std::size_t>(threads * padded));
+  std::vector<const float*> pointers(static_cast<std::size_t>(threads) *
+                                     (x_weights.size() + y_weights.size()));
   parallel_blocks(rows, 16, threads, [&](int worker, std::ptrdiff_t begin, std::ptrdiff_t end) {
     float* line = lines.data() + worker * padded;
-    std::vector<const float*> around(y_weights.size());
+    const float** around = pointers.data() + worker * (x_weights.size() + y_weights.size());
+    const float** shifted = around + y_weights.size();
+    for (std::size_t k = 0; k < x_weights.size(); ++k) shifted[k] = line + k;
     for (std::ptrdiff_t y = begin; y < end; ++y) {
-      for (std::size_t k = 0; k < around.size(); ++k)
+      for (std::size_t k = 0; k < y_weights.size(); ++k)
         around[k] = image.row(mirrored(y + static_cast<std::ptrdiff_t>(k) - reach_y, rows));
-      loops.weighted_sum(around.data(), y_weights.data(), static_cast<int>(around.size()), cols,
-                         line + reach_x);
+      loops.weighted_sum(around, y_weights.data(), static_cast<int>(y_weights.size()), cols, line + reach_x);
       for (std::ptrdiff_t k = 1; k <= reach_x; ++k) {
         line[reach_x - k] = line[reach_x + mirrored(-k, cols)];
         line[reach_x + cols - 1 + k] = line[reach_x + mirrored(cols - 1 + k, cols)];
       }
-      std::vector<const float*> shifted;
-      for (std::size_t k = 0; k < x_weights.size(); ++k) shifted.push_back(line + k);
-      loops.weighted_sum(shifted.data(), x_weights.data(), static_cast<int>(shifted.size()), cols,
-                         result.row(y));
+      loops.weighted_sum(shifted, x_weights.data(), static_cast<int>(x_weights.size()), cols, result.row(y));
     }
   });
   return result;

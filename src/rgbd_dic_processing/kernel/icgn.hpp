@@ -57,9 +57,10 @@ constexpr double kFirstRate = 0.1, kLeastRate = 0.02;
 // it.
 constexpr double kMaxLastStep = 20.0;
 
-// A subset with so low a ZNCC after that many iterations is given up: it is not there.
-constexpr double kHopeless = 0.3;
-constexpr int kMostHopeless = 6;
+// A subset with a ZNCC as low as kAbsurd after three iterations, or as kHopeless after kPatience, is not
+// there.
+constexpr double kAbsurd = 0.1, kHopeless = 0.3;
+constexpr int kPatience = 6;
 
 struct SubsetResult {
   double x = std::numeric_limits<double>::quiet_NaN();  // the point in the target, px
@@ -125,7 +126,7 @@ class SubsetMatch {
     std::array<double, kMaxParameters> last_edge{};
     while (result_.iterations < limits_.max_iterations) {
       ++result_.iterations;
-      if (result_.iterations > kMostHopeless && result_.zncc < kHopeless)
+      if (result_.zncc < (result_.iterations > kPatience ? kHopeless : kAbsurd) && result_.iterations > 3)
         return failed(SubsetStatus::kNotConverged, seed);
       if (!sample(composed(seed, increment))) return ended(SubsetStatus::kOutsideImage);
       const Moments g = loops_.moments(layout_, g_);
@@ -269,6 +270,7 @@ class SubsetMatch {
       r.r_r += static_cast<float>(u * (2.0 * r.r_jx + along_x) + v * (2.0 * r.r_jy + along_y));
       r.r_jx += static_cast<float>(along_x);
       r.r_jy += static_cast<float>(along_y);
+      r.r_r = std::max(r.r_r, 0.0f);
       after.power += r.r_r;
     }
     return after;
@@ -295,6 +297,7 @@ class SubsetMatch {
     Misfit result;
 
     std::array<double, 2 * kSide> r_r{}, f_f{}, count{};  // of the strips
+    std::array<double, kBlocks> at_rest{};  // variance of the residual in blocks that were moved into place
     double explained = 0.0, texture = 0.0;
     int free = 0;
     for (int k = 0; k < kBlocks; ++k) {
@@ -307,10 +310,15 @@ class SubsetMatch {
       }
       const double determinant =
           static_cast<double>(block.jx_dx) * block.jy_dy - static_cast<double>(block.jx_dy) * block.jy_dx;
-      if (!(determinant > 0.05 * block.jx_dx * block.jy_dy)) continue;  // says little across its texture
-      explained += (block.jy_dy * r.r_jx * r.r_jx - (block.jx_dy + block.jy_dx) * r.r_jx * r.r_jy +
-                    block.jx_dx * r.r_jy * r.r_jy) /
-                   determinant;
+      at_rest[k] = r.r_r / block.count;
+      if (!(block.jx_dx > 0.0f && determinant > 0.05 * block.jx_dx * block.jy_dy))
+        continue;  // says little across its texture
+      const double share = (block.jy_dy * r.r_jx * r.r_jx - (block.jx_dy + block.jy_dx) * r.r_jx * r.r_jy +
+                            block.jx_dx * r.r_jy * r.r_jy) /
+                           determinant;
+      const double taken = std::min(std::max(share, 0.0), static_cast<double>(r.r_r));
+      at_rest[k] = (r.r_r - taken) / (block.count - 2.0);
+      explained += taken;
       texture += 0.5 * (block.jx_dx + block.jy_dy);
       free += 2;
     }
@@ -320,10 +328,12 @@ class SubsetMatch {
       result.torn |= r_r[strip] > 2.0 * kUnlike * f_f[strip] && r_r[strip] > kUneven * least * count[strip];
 
     constexpr int kQuadratic = 6, kCubic = 10;  // monomials
-    const int left = layout_.count() - free - 2;
-    if (result.torn || free <= 2 * kCubic || left < free) return result;
-    const double white = strength * (residuals.power - explained) / left;
-    if (!(explained > kSignificant * white * free)) return result;
+    constexpr int kSmallest = 13;               // px; the blocks of smaller subsets tell nothing
+    if (result.torn || free <= 2 * kCubic || layout_.size() < kSmallest) return result;
+    // Of the blocks, the median: one with something foreign in it cannot be moved into place.
+    std::nth_element(at_rest.begin(), at_rest.begin() + kBlocks / 2, at_rest.end());
+    const double white = strength * at_rest[kBlocks / 2];
+    if (!(white > 0.0 && explained > kSignificant * white * free)) return result;
 
     const BlockDisplacement quadratic = block_displacement(residuals.blocks, kQuadratic);
     const double cubic = block_displacement(residuals.blocks, kCubic).explained - quadratic.explained;

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from rgbd_dic_acquisition.calibration import Camera
+from rgbd_dic_processing.core.compensation.motion import misfit_of
 from rgbd_dic_processing.core.crack import CrackMeasurement
 from rgbd_dic_processing.core.displacement import SOLVERS, DisplacementMeasurement
 from rgbd_dic_processing.core.settings import CompensationSettings, CrackSettings
@@ -36,3 +37,12 @@ def test_opening_is_exact(method, reference):
     assert first.opening_m == pytest.approx(0, abs=1e-10)
     assert second.opening_m == pytest.approx(jump[0], abs=1e-9)
     assert second.sliding_m == pytest.approx(jump[1], abs=1e-9)
+
+
+@pytest.mark.parametrize("shift_px", [(0.3, 0.3), (1.0, 0.9), (-8.0, 7.0)])
+def test_misfit_of_residuals_in_any_direction(shift_px) -> None:
+    """All residuals alike, and oblique: the misfit that makes their median length that of a normal distribution."""
+    residual = np.tile(shift_px, (20, 1))
+    misfit_px = misfit_of(residual, np.full((20, 2), 0.005))
+    lengths = np.linalg.norm(residual / np.hypot(0.005, misfit_px), axis=1)
+    np.testing.assert_allclose(lengths, 1.1774, rtol=1e-3)

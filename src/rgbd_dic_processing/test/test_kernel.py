@@ -7,6 +7,7 @@ noise and the kernel itself can displace a subset.
 
 import dataclasses
 import re
+import resource
 from pathlib import Path
 
 import numpy as np
@@ -254,8 +255,7 @@ def test_sigma_is_honest(speckle, shift):
         assert found.valid.all()
         ratios.append((found.x_px - centres[:, 0] - shift[0]) / found.sigma_x_px)
         ratios.append((found.y_px - centres[:, 1] - shift[1]) / found.sigma_y_px)
-    # 24 x 24 ratios: their standard deviation is known to 3 %. The noise in the reference's gradient, which
-    # the model of sigma leaves out, adds about as much.
+    # 24 x 24 ratios: their standard deviation is known to 3 %.
     assert np.std(ratios) == pytest.approx(1, abs=0.1)
 
 
@@ -379,6 +379,19 @@ def test_selected_subsets_are_the_same_as_in_the_whole(reference, warped, homogr
     np.testing.assert_array_equal(part.status, whole.status[indices])
 
 
+def test_memory_does_not_grow_with_the_frames(reference, warped, homography):
+    centres = grid(step=20)
+    seeds = homography_seeds(homography, centres)
+    subsets = ReferenceSubsets(reference, centres, CorrelationSettings())
+    peaks = []
+    for _ in range(3):
+        for _ in range(150):
+            subsets.correlate(subsets.target(warped), seeds)
+        peaks.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)  # KiB
+    image_kib = warped.size * 4 / 1024  # 150 leaks of it would be 27 MB
+    assert peaks[2] - peaks[0] < 10 * image_kib
+
+
 @pytest.mark.parametrize("dtype", [np.uint16, np.float32, np.float64, ">u2"])
 def test_image_types_are_equivalent(reference, warped, dtype):
     centres = grid(step=40)
@@ -497,6 +510,26 @@ def test_subsets_behind_an_object_are_torn(speckle, reference, covered_px, speck
     found = status_of(reference, quantised(image), identity_seeds(centres, (0.2, 0)), centres)
     assert np.mean(found.status == SubsetStatus.TORN) > 0.9
     assert not found.valid.any()
+
+
+@pytest.mark.parametrize("size", [9, 13, 31])
+@pytest.mark.parametrize("stripe_px", [1, 8, 12])
+@pytest.mark.parametrize("shift_px", [0.1, 1.0])
+def test_glare_that_stays_where_it_is_makes_no_certain_errors(speckle, size, stripe_px, shift_px):
+    """A bright stripe of the light, not of the panel: no sigma is missing, and most errors are within five of them.
+
+    Not all (docs/method.md): 15 % of the subsets are beyond in the worst of these cases.
+    """
+    random, (x, y) = np.random.default_rng(9), pixels()
+    glare = 60.0 * ((x > 120) & (x < 120 + stripe_px + 1))
+    before, after = (
+        np.clip(speckle(x - moved, y) + glare + random.normal(0, 2, x.shape), 0, 255) for moved in (0, shift_px)
+    )
+    centres = grid(step=9)
+    found = status_of(before, after, identity_seeds(centres, (shift_px, 0)), centres, subset_size=size)
+    assert np.isfinite(found.sigma_x_px[found.valid]).all() and (found.sigma_x_px[found.valid] > 0).all()
+    errors = np.abs(found.x_px - centres[:, 0] - shift_px)[found.valid] / found.sigma_x_px[found.valid]
+    assert np.mean(errors > 5) < 0.2
 
 
 def test_noise_is_not_torn(speckle, reference):

@@ -174,8 +174,8 @@ def test_nothing_is_set_while_the_panel_is_lost() -> None:
             ask()
 
 
-def dimmed(image: np.ndarray, share: float, random: np.random.Generator) -> np.ndarray:
-    return noisy(20 + share * (image - 20.0), 2.0, random)
+def dimmed(image: np.ndarray, share: float, random: np.random.Generator, noise: float = 2.0) -> np.ndarray:
+    return noisy(20 + share * (image - 20.0), noise, random)
 
 
 def test_fading_light_renews_the_keyframe_by_itself() -> None:
@@ -188,6 +188,21 @@ def test_fading_light_renews_the_keyframe_by_itself() -> None:
         keyframes.append(round(field.keyframe_stamp_ns * 60 / SECOND))
     assert keyframes[: 10 + 3] == [0] * 13
     assert keyframes[-1] > 13 and len(set(keyframes)) == 2
+    assert np.isfinite(field.moved_px[:, 0]).mean() > 0.95
+
+
+def test_an_image_without_texture_does_not_become_the_keyframe() -> None:
+    """Light so faint that subsets are still found, but could not be followed from there: the old keyframe stays, and is
+    found again when the light is back."""
+    steps, random = started(RenewalSettings(after_frames=3, zncc_drop=0.02), noise=1.0)
+    contrast = view(np.eye(3)).std()
+    refusals = set()
+    for k in range(1, 21):
+        light = 1.0 if k < 3 or k > 15 else 1.7 / contrast
+        field = steps.track(k * SECOND // 60, dimmed(view(turned(0, (0.5 * k, 0))), light, random, noise=0.7))
+        refusals.add(steps.refusal)
+    assert any("have texture in this image" in refusal for refusal in refusals)
+    assert field.status == FrameStatus.OK and field.keyframe_stamp_ns == 0
     assert np.isfinite(field.moved_px[:, 0]).mean() > 0.95
 
 

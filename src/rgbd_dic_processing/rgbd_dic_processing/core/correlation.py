@@ -27,7 +27,7 @@ class SubsetStatus(enum.IntEnum):
 
     CONVERGED = 0
     NOT_CONVERGED = 1
-    """The iteration limit was reached."""
+    """It did not come to rest within the iterations, or matched so little that it was given up."""
     LOW_CORRELATION = 2
     """Its ZNCC is below the limit, or the target is uniform there."""
     OUTSIDE_IMAGE = 3
@@ -50,7 +50,7 @@ class CorrelationSettings(Settings):
     step: int = setting(10, unit="px", low=1, high=1000, doc="Distance between the centres of the grid.")
     spline_degree: int = setting(5, low=3, high=5, doc="Degree of the interpolating B-spline: 3 or 5.")
     gradient_smoothing_px: float = setting(
-        0.8, unit="px", low=0.0, high=5.0, doc="Gaussian that smooths the gradients that weigh the residuals; 0: none."
+        0.8, unit="px", low=0.0, high=2.0, doc="Gaussian that smooths the gradients that weigh the residuals; 0: none."
     )
     increment_order: int = setting(
         1, low=1, high=2, doc="Order of the increment on top of the predicted warp: 1 affine, 2 for curved surfaces."
@@ -73,6 +73,11 @@ class CorrelationSettings(Settings):
         super().__post_init__()
         if self.subset_size % 2 == 0:
             raise SettingsError(f"CorrelationSettings.subset_size = {self.subset_size} px: must be odd")
+        if self.step * 16 < self.subset_size:
+            raise SettingsError(
+                f"CorrelationSettings.step = {self.step} px: at least a sixteenth of the subsets' {self.subset_size} px, "
+                "as memory grows with how many overlap"
+            )
         if self.spline_degree == 4:
             raise SettingsError("CorrelationSettings.spline_degree = 4: must be 3 or 5")
 
@@ -103,6 +108,10 @@ class Correlation:
     def valid(self) -> NDArray[np.bool_]:
         """(M,) True where the subset was found."""
         return self.status == SubsetStatus.CONVERGED
+
+    def rows(self, chosen: NDArray) -> Correlation:
+        """Some of the rows."""
+        return Correlation(*(getattr(self, field.name)[chosen] for field in dataclasses.fields(self)))
 
     def replaced(self, indices: NDArray, other: Correlation) -> Correlation:
         """These rows taken from another correlation, in its order."""

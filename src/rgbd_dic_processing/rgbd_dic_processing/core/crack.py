@@ -165,7 +165,7 @@ class _ZoneLayout:
             MeasurementError: if the subsets do not determine that homography.
         """
         known = np.flatnonzero(np.isfinite(position_m[:, 0]))
-        some = known[np.linspace(0, len(known) - 1, min(len(known), AXES_POINTS)).astype(int)]
+        some = np.random.default_rng(0).permutation(known)[:AXES_POINTS]  # every so-manieth could be one column
         to_panel = fit_homography(camera.undistort(self.centres_px[some]), position_m[some])
         if to_panel is None:
             raise MeasurementError("the direction of the crack on the panel is undetermined: too few subsets")

@@ -71,7 +71,7 @@ class DisplacementMeasurement:
             return invalid(FrameStatus.NOT_COMPENSATED, "its reference is not known here")
         moved_px = self._camera.undistort(frame.field.moved_px)
         sigma_px = np.maximum(frame.field.sigma_px.astype(float), 1e-9)
-        fixed = np.flatnonzero(base.fixed & np.isfinite(moved_px).all(axis=1))
+        fixed = np.flatnonzero(base.fixed & np.isfinite(moved_px + sigma_px).all(axis=1))
         if len(fixed) < self._settings.min_subsets:
             return invalid(
                 FrameStatus.NO_FIXED_REGION,

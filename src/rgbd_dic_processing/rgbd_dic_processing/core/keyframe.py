@@ -149,7 +149,7 @@ class Keyframe:
         side_px, link_px = self._subsets.settings.subset_size, found.link_px[chosen]
         noise = (link_px * side_px) ** 2 / 2  # variance of a pixel's noise over that of the pattern's gradient
         lost = BORDER_NOISE * 4 / side_px * noise
-        shared = np.maximum(_shared_pixels(found.jacobian.mean(axis=0), side_px) - lost, 0)
+        shared = np.maximum(_shared_pixels(found.jacobian[chosen].mean(axis=0), side_px) - lost, 0)
         return Chain(found.sigma_px[chosen] ** 2, link_px, shared, self.subset_px)
 
 

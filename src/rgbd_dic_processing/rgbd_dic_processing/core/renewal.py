@@ -22,6 +22,10 @@ class RenewalNeed:
         self._best_zncc = -1.0
         self._asking: deque[float] = deque(maxlen=settings.after_frames)
 
+    def postpone(self) -> None:
+        """The image that was chosen cannot be a keyframe: count anew."""
+        self._asking.clear()
+
     def judge(self, found: Found) -> bool:
         """Whether this image should become the keyframe.
 
@@ -33,7 +37,7 @@ class RenewalNeed:
         zncc = float(np.median(found.correlation.zncc[found.correlation.valid]))
         self._best_zncc = max(self._best_zncc, zncc)
         fading = zncc < self._best_zncc - self._settings.zncc_drop
-        stretched = stretch(found.jacobian.mean(axis=0)) > self._settings.max_stretch
+        stretched = stretch(found.jacobian[found.correlation.valid].mean(axis=0)) > self._settings.max_stretch
         if not (fading or stretched):
             self._asking.clear()
             return False

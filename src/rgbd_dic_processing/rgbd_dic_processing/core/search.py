@@ -211,7 +211,8 @@ class SubsetSearch:
             return moved
         tried[chosen] = offsets_px
         seeds = self.seeds(Guess(guess.homography, tried), chosen)
-        return moved.replaced(chosen, self._subsets.correlate(target, seeds, chosen))
+        again = self._subsets.correlate(target, seeds, chosen)
+        return moved.replaced(chosen[again.valid], again.rows(again.valid))
 
     @staticmethod
     def _worth_trying(moved: Correlation) -> NDArray[np.bool_]:

@@ -18,7 +18,7 @@ from .correlation import CorrelationSettings
 class SearchSettings(Settings):
     """The initial guess of each frame."""
 
-    probes: int = setting(48, unit="subsets", low=8, high=1000, doc="Subsets that test a guess before all are run.")
+    probes: int = setting(48, unit="subsets", low=40, high=1000, doc="Subsets that test a guess before all are run.")
     min_found: float = setting(
         0.2, low=0.1, high=1.0, doc="Share of the probes that must be found and agree for a guess to be taken."
     )

@@ -12,6 +12,7 @@ from .keyframe import Chain, Found, Keyframe
 from .layout import SubsetLayout
 from .regions import Regions
 from .renewal import RenewalNeed
+from .search import LEAST_AGREEING
 from .settings import RenewalSettings, SearchSettings
 from .status import FrameStatus
 from .subset_field import Reference, SubsetField
@@ -121,6 +122,8 @@ class SubsetTracking:
         textured = self._layout.mask(members[keyframe.textured])
         if short := self._layout.shortage(textured, LEAST_TEXTURED):
             return f"no reference: only {short} have texture (light? focus?)"
+        if textured.sum() < LEAST_AGREEING:
+            return f"no reference: only {textured.sum()} subsets have texture, at least {LEAST_AGREEING} are needed"
         centres = np.where(self._layout.mask(members)[:, None], places_px, np.nan)
         self.reference = Reference(
             stamp_ns,
@@ -142,9 +145,12 @@ class SubsetTracking:
         kept = self._layout.whole(tracked.moved_px)
         chain = self._keyframe.chain_from(found, kept[self._keyframe.members])
         centres, settings = tracked.moved_px[kept], self._for_keyframes
-        self._follow_from(
-            Keyframe(stamp_ns, image, np.flatnonzero(kept), centres, tracked.homography, chain, *settings)
-        )
+        keyframe = Keyframe(stamp_ns, image, np.flatnonzero(kept), centres, tracked.homography, chain, *settings)
+        textured = self._layout.mask(keyframe.members[keyframe.textured])
+        if short := self._layout.shortage(textured, self._renewal.min_found, self._textured):
+            self._need.postpone()
+            return f"the keyframe stays: only {short} have texture in this image (light? focus?)"
+        self._follow_from(keyframe)
         return ""
 
     def _follow_from(self, keyframe: Keyframe) -> None:

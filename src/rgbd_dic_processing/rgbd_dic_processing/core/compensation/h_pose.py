@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 Pose = tuple[Array, Array]
 
 MAX_ITERATIONS = 30
+MISFIT_ITERATIONS = 5  # in which the misfit is estimated along with the pose
 CONVERGED_PX = 1e-7  # RMS change of the reprojection at which the iteration ends
 
 
@@ -84,7 +85,8 @@ def fit_pose(
     points = plane.points(camera.rays(source_px))
     focal = np.array([camera.fx, camera.fy])
     R, t = start
-    for _ in range(MAX_ITERATIONS):
+    misfit_px = 0.0
+    for iteration in range(MAX_ITERATIONS):
         turned = points @ R.T
         moved = turned + t
         z = moved[:, 2]
@@ -92,7 +94,8 @@ def fit_pose(
             break
         residual = target_px - camera.project(moved)
         jacobian = _jacobian(focal, turned, moved)
-        misfit_px = misfit_of(residual, sigma_px)
+        if iteration < MISFIT_ITERATIONS:  # pose and misfit, each following the other, may take very long
+            misfit_px = misfit_of(residual, sigma_px)
         variance = sigma_px**2 + misfit_px**2
         lengths = np.sqrt(np.sum(residual**2 / variance, axis=1))
         huber = np.minimum(1, robust_sigmas / np.maximum(lengths, 1e-12))

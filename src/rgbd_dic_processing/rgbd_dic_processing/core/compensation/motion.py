@@ -128,4 +128,4 @@ def misfit_of(residual_px: Array, sigma_px: Array) -> float:
 
     if too_long(0.0) <= 0:
         return 0.0
-    return brentq(too_long, 0.0, float(np.abs(residual_px).max()), xtol=1e-6)
+    return brentq(too_long, 0.0, float(np.linalg.norm(residual_px, axis=1).max()), xtol=1e-6)
