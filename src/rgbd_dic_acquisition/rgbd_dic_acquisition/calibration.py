@@ -52,6 +52,8 @@ class Camera:
 
     def distort(self, points_px: Array) -> Array:
         """Ideal pinhole pixels (N, 2) -> pixels of the raw image (N, 2)."""
+        if self.k1 == 0.0 and self.k2 == 0.0:
+            return np.array(points_px, float)
         centre, focal = np.array([self.cx, self.cy]), np.array([self.fx, self.fy])
         ideal = (np.asarray(points_px, float) - centre) / focal
         r2 = np.sum(ideal**2, axis=-1, keepdims=True)

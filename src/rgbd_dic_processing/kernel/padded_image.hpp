@@ -3,7 +3,7 @@
 
 #include <algorithm>
 #include <cstddef>
-#include <vector>
+#include <memory>
 
 #include "loops.hpp"
 
@@ -16,19 +16,22 @@ class PaddedImage {
 
   PaddedImage() = default;
 
+  // Its pixels are not set; the margin is zero.
   PaddedImage(std::ptrdiff_t rows, std::ptrdiff_t cols)
-      : rows_(rows),
-        cols_(cols),
-        stride_(cols + 2 * kMargin),
-        data_(static_cast<std::size_t>(stride_ * (rows + 2 * kMargin) + kReadAhead), 0.0f) {}
+      : rows_(rows), cols_(cols), stride_(cols + 2 * kMargin), data_(new float[size()]) {
+    const std::ptrdiff_t border = kMargin * stride_ + kMargin;
+    std::fill_n(data_.get(), border, 0.0f);
+    for (std::ptrdiff_t y = 0; y < rows; ++y) std::fill_n(row(y) + cols, 2 * kMargin, 0.0f);
+    std::fill_n(row(rows), data_.get() + size() - row(rows), 0.0f);
+  }
 
   std::ptrdiff_t rows() const { return rows_; }
   std::ptrdiff_t cols() const { return cols_; }
   std::ptrdiff_t stride() const { return stride_; }
 
   // Pixel (0, y); x and y from -kMargin to size - 1 + kMargin are in memory.
-  float* row(std::ptrdiff_t y) { return data_.data() + (y + kMargin) * stride_ + kMargin; }
-  const float* row(std::ptrdiff_t y) const { return data_.data() + (y + kMargin) * stride_ + kMargin; }
+  float* row(std::ptrdiff_t y) { return data_.get() + (y + kMargin) * stride_ + kMargin; }
+  const float* row(std::ptrdiff_t y) const { return data_.get() + (y + kMargin) * stride_ + kMargin; }
 
   // Fills the margin with the mirrored inside.
   void mirror_margin() {
@@ -46,8 +49,10 @@ class PaddedImage {
   }
 
  private:
+  std::size_t size() const { return static_cast<std::size_t>(stride_ * (rows_ + 2 * kMargin) + kReadAhead); }
+
   std::ptrdiff_t rows_ = 0, cols_ = 0, stride_ = 0;
-  std::vector<float> data_;
+  std::unique_ptr<float[]> data_;
 };
 
 }  // namespace rgbd_dic
