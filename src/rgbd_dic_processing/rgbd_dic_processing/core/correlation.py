@@ -75,8 +75,8 @@ class CorrelationSettings(Settings):
             raise SettingsError(f"CorrelationSettings.subset_size = {self.subset_size} px: must be odd")
         if self.step * 16 < self.subset_size:
             raise SettingsError(
-                f"CorrelationSettings.step = {self.step} px: at least a sixteenth of the subsets' {self.subset_size} px, "
-                "as memory grows with how many overlap"
+                f"CorrelationSettings.step = {self.step} px: must be at least a sixteenth of subset_size = "
+                f"{self.subset_size} px, as memory grows with how many subsets overlap"
             )
         if self.spline_degree == 4:
             raise SettingsError("CorrelationSettings.spline_degree = 4: must be 3 or 5")
