@@ -1,7 +1,7 @@
 # `make demo` and `make test` are all that a newcomer needs; each does the set-up that is missing.
 SHELL := /bin/bash
 .DEFAULT_GOAL := help
-.PHONY: help setup build demo test test-slow sanitize bench bench-real lint format docs sample lock clean
+.PHONY: help setup build demo test test-slow sanitize bench bench-real validate lint format docs sample lock clean
 
 run := tools/run
 
@@ -38,6 +38,10 @@ bench: build                     ## this engine beside its peers: docs/benchmark
 bench-real: build                ## the regression on real images alone
 	@tools/bench/environment.sh
 	@$(run) python tools/bench/run.py --real
+
+validate: build                  ## chapter 3 of the thesis beside ours: docs/validation_chapter3.md
+	@$(run) rgbd-dic validate chapter3 --out results/chapter3
+	@$(run) python tools/docs/regenerate.py
 
 lint: .venv/.installed           ## formatting and lint, as CI checks them
 	@.venv/bin/ruff format --check --quiet src test tools || { echo "not formatted: run make format"; exit 1; }

@@ -21,7 +21,7 @@ def test_same_bytes_for_any_thread_count(flight: Path, tmp_path: Path) -> None:
 def test_help_names_units_and_defaults() -> None:
     text = rgbd_dic("process", "--help").stdout
     assert "default" in text and "[mm]" in text
-    for command in ("up", "process", "simulate", "import", "report", "info"):
+    for command in ("up", "process", "simulate", "import", "report", "info", "validate"):
         assert command in rgbd_dic("--help").stdout
 
 

@@ -1,4 +1,4 @@
-"""Writes what docs can take from the code and from the last `make demo`, so that it does not drift from either.
+"""Writes what docs can take from the code and from the last `make demo` and `make validate`, so that it does not drift.
 
 `make docs` runs it; with --check nothing is written, and the exit code is 1 if something that depends on the code alone
 is out of date.
@@ -14,11 +14,20 @@ import node_tables
 import settings_tables
 from blocks import replace_block, table
 from pictures import small_copy
+from rgbd_dic_processing.calibrating.settings import CalibratingSettings
 from rgbd_dic_processing.results import HEADER
 
 ROOT = Path(__file__).parents[2]
 DEMO = ROOT / "results" / "demo"
-PICTURES = {"demo_history.png": "history.png", "demo_maps.png": "maps_h_pose_widest.png"}  # docs/images <- results/demo
+CHAPTER3 = ROOT / "results" / "chapter3"
+PICTURES = {  # docs/images <- what made it, and the file there
+    "demo_history.png": (DEMO, "history.png"),
+    "demo_maps.png": (DEMO, "maps_h_pose_widest.png"),
+    **{
+        f"chapter3_{name}.png": (CHAPTER3, f"chapter3_{name}.png")
+        for name in ("images", "averages", "rms", "trends", "cracks", "maps_2_5", "maps_2_6", "oblique")
+    },
+}
 
 # Columns of crack_opening.csv: unit, meaning, when it is nan or empty.
 COLUMNS = {
@@ -61,6 +70,12 @@ def demo_table() -> str | None:
     return path.read_text() if path.exists() else None
 
 
+def chapter3_table(name: str) -> Callable[[], str | None]:
+    """A table of the last `make validate`."""
+    path = CHAPTER3 / "tables" / f"{name}.md"
+    return lambda: path.read_text() if path.exists() else None
+
+
 # File -> its blocks -> what belongs in them; None if that is not there.
 FROM_CODE: dict[str, dict[str, Callable[[], str | None]]] = {
     "docs/parameters.md": {
@@ -73,8 +88,19 @@ FROM_CODE: dict[str, dict[str, Callable[[], str | None]]] = {
         "acquisition": lambda: node_tables.section("rgbd_dic_acquisition", node_tables.ACQUISITION),
     },
     "docs/files.md": {"csv": csv_table},
+    "docs/calibration.md": {"calibrating": lambda: settings_tables.sections({"calibrating": CalibratingSettings})},
+    "docs/laboratory.md": {"laboratory": lambda: settings_tables.sections(settings_tables.LABORATORY)},
 }
-FROM_RUN: dict[str, dict[str, Callable[[], str | None]]] = {"README.md": {"demo": demo_table}}
+FROM_RUN: dict[str, dict[str, Callable[[], str | None]]] = {
+    "README.md": {"demo": demo_table},
+    "docs/validation_chapter3.md": {
+        name: chapter3_table(name)
+        for name in (
+            *("criteria", "calibration", "patterns", "poses", "thesis", "maps", "trends", "minimal", "calibrations"),
+            *("cracks", "budget", "coverage", "oblique"),
+        )
+    },
+}
 PROCESSING_YAML = ROOT / "src/rgbd_dic_processing/config/processing.yaml"
 
 
@@ -91,7 +117,7 @@ def new_texts(blocks: dict[str, dict[str, Callable[[], str | None]]]) -> dict[Pa
             content = make()
             filled = None if content is None else replace_block(text, block, content)
             if content is None:
-                print(f"{name}: block {block} is left as it is: run make demo first")
+                print(f"{name}: block {block} is left as it is: run make demo or make validate first")
             elif filled is None:
                 print(
                     f"{name}: block {block} is skipped: there is no <!-- begin: {block} --> ... <!-- end: {block} -->"
@@ -102,15 +128,15 @@ def new_texts(blocks: dict[str, dict[str, Callable[[], str | None]]]) -> dict[Pa
 
 
 def copy_pictures() -> None:
-    """Pictures of the demonstration that a page shows, made small."""
+    """Pictures of the demonstration and of chapter 3 that a page shows, made small."""
     pages = "".join(path.read_text() for path in (ROOT / "README.md", *ROOT.glob("docs/**/*.md")) if path.exists())
-    for name, source in PICTURES.items():
+    for name, (folder, source) in PICTURES.items():
         if f"images/{name}" not in pages:
             print(f"docs/images/{name} is skipped: no page shows it")
-        elif not (DEMO / source).exists():
-            print(f"docs/images/{name} is left as it is: results/demo/{source} is missing; run make demo first")
+        elif not (folder / source).exists():
+            print(f"docs/images/{name} is left as it is: run make demo or make validate first")
         else:
-            small_copy(DEMO / source, ROOT / "docs" / "images" / name)
+            small_copy(folder / source, ROOT / "docs" / "images" / name)
 
 
 def main() -> int:

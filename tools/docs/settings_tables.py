@@ -15,6 +15,7 @@ from rgbd_dic_acquisition.nodes.recorder_node import RecorderSettings
 from rgbd_dic_acquisition.nodes.tof_node import TofNodeSettings
 from rgbd_dic_acquisition.settings import Settings
 from rgbd_dic_acquisition.simulator.flight import FlightSettings
+from rgbd_dic_acquisition.simulator.laboratory import LaboratorySettings
 from rgbd_dic_processing.core.settings import ProcessingSettings
 from rgbd_dic_processing.nodes.inputs import SensorQosSettings
 
@@ -36,6 +37,10 @@ FLIGHT: dict[str, type[Settings]] = {"flight": FlightSettings} | {
     for field in dataclasses.fields(FlightSettings)
     if isinstance(field.default, Settings)
 }
+# Here the values count, as a group may have other defaults in the laboratory than by itself.
+LABORATORY: dict[str, Settings] = {"laboratory": LaboratorySettings()} | {
+    field.name: field.default for field in dataclasses.fields(LaboratorySettings) if isinstance(field.default, Settings)
+}
 # Parameters of the processing nodes that are no settings of a stage: name -> default and what it is.
 PATHS = {
     "regions_file": ("", "path of regions.yaml; needed by all but pairing_node"),
@@ -44,7 +49,7 @@ PATHS = {
 }
 
 
-def sections(groups: dict[str, type[Settings]]) -> str:
+def sections(groups: dict[str, type[Settings]] | dict[str, Settings]) -> str:
     """For each group a heading, its sentence and its table."""
     return "\n\n".join(f"### {name}\n\n{kind.__doc__.strip()}\n\n{_table(kind)}" for name, kind in groups.items())
 
@@ -81,15 +86,19 @@ def parameter_names(groups: dict[str, type[Settings]]) -> set[str]:
     }
 
 
-def _table(kind: type[Settings]) -> str:
+def _table(kind: type[Settings] | Settings) -> str:
     return table(
         ("Parameter", "Default", "Unit", "Range", "Meaning"),
         [
-            (f"`{field.name}`", _default(field.default), field.metadata["unit"], _range(field), _meaning(field))
+            (f"`{field.name}`", _default(_value(kind, field)), field.metadata["unit"], _range(field), _meaning(field))
             for field in dataclasses.fields(kind)
             if not isinstance(field.default, Settings)
         ],
     )
+
+
+def _value(kind: type[Settings] | Settings, field: dataclasses.Field) -> Any:
+    return getattr(kind, field.name) if isinstance(kind, Settings) else field.default
 
 
 def _default(value: Any) -> str:

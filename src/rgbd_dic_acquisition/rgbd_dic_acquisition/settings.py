@@ -44,14 +44,31 @@ class Settings:
 
     @classmethod
     def from_mapping(cls: type[S], values: Mapping[str, Any], where: str = "settings") -> S:
-        """From a mapping of field names to values, such as a group of a YAML file; the rest keeps its default."""
+        """From a mapping of field names to values, such as a group of a YAML file; the rest keeps its default.
+
+        A field that is a group of settings itself takes a mapping of its own.
+        """
+        return cls._with({}, values, where)
+
+    def updated(self: S, values: Mapping[str, Any], where: str = "settings") -> S:
+        """These settings with what a mapping, as `from_mapping` takes it, says otherwise."""
+        fields = dataclasses.fields(self)
+        return self._with({field.name: getattr(self, field.name) for field in fields}, values, where)
+
+    @classmethod
+    def _with(cls: type[S], kept: Mapping[str, Any], values: Mapping[str, Any], where: str) -> S:
         if not isinstance(values, Mapping):
             raise SettingsError(f"{where}: expected a mapping of names to values, got {values!r}")
-        names = {field.name for field in dataclasses.fields(cls)}
-        unknown = sorted(set(values) - names)
+        fields = {field.name: field for field in dataclasses.fields(cls)}
+        unknown = sorted(set(values) - set(fields))
         if unknown:
-            raise SettingsError(f"{where}: unknown setting {', '.join(unknown)}; known are {', '.join(sorted(names))}")
-        return cls(**values)
+            raise SettingsError(f"{where}: unknown setting {', '.join(unknown)}; known are {', '.join(sorted(fields))}")
+        parsed = {**kept, **values}
+        for name, value in values.items():
+            group = kept.get(name, fields[name].default)
+            if isinstance(group, Settings) and not isinstance(value, Settings):
+                parsed[name] = group.updated(value, f"{where}.{name}")
+        return cls(**parsed)
 
     def as_dict(self) -> dict[str, Any]:
         return dataclasses.asdict(self)

@@ -29,10 +29,11 @@ from rgbd_dic_acquisition.simulator.motion import (
     MotionSettings,
     Pose,
     crack_state,
+    thesis_pose,
 )
 from rgbd_dic_acquisition.simulator.scene import GAP, PAINTED, WALL, CrackedPanel, PanelSettings
 from rgbd_dic_acquisition.simulator.sensors import CameraModel, CameraSettings, TofSettings, sensor_rig
-from rgbd_dic_acquisition.simulator.speckle import SpeckleSettings, make_pattern
+from rgbd_dic_acquisition.simulator.speckle import Checkerboard, SpeckleSettings, make_pattern
 from rgbd_dic_acquisition.simulator.timing import ticks
 from scipy.spatial.transform import Rotation
 
@@ -123,6 +124,49 @@ def test_supersampling_integrates_an_edge():
     left = int(edge_px[0])
     np.testing.assert_allclose(image[15, left - 1 : left + 3], [95, 95, 100, 100], atol=0.01)
     np.testing.assert_allclose(moved[15, left + 1], 0.3 * 95 + 0.7 * 100, atol=5 / 16)
+
+
+@pytest.mark.parametrize("opening_m", [0.0, 0.01])
+def test_only_what_is_not_uniform_is_supersampled(opening_m):
+    """A pattern of flat parts gives the same image whether it says so or not."""
+    pattern = make_pattern(SpeckleSettings(kind="disks", size_m=0.01), 0.3, 0.2, np.random.default_rng(3))
+
+    class Unknown:
+        grey = staticmethod(pattern.grey)
+
+    camera = Camera(160, 120, 200.0, 210.0, 80.3, 60.1, -0.1, 0.02)
+    model = CameraModel(camera, replace(NO_NOISE, supersampling=5))
+    pose = thesis_pose((12.0, -9.0, 20.0), (350.0, 110.0, -80.0))
+    panel = PanelSettings(width_m=0.3, height_m=0.2, gap_m=0.002)
+    quick, full = (
+        model.radiance(CrackedPanel(panel, p), pose, CrackState(opening_m, 0.003)) for p in (pattern, Unknown())
+    )
+    assert len(np.unique(full)) > 20
+    np.testing.assert_allclose(quick, full, atol=1e-9)
+
+
+def test_checkerboard_changes_at_its_corners():
+    board = Checkerboard(15, 20, 0.05)
+    assert board.corners_m.shape == (14 * 19, 2)
+    np.testing.assert_allclose(board.corners_m[[0, -1]], [[-0.45, -0.325], [0.45, 0.325]], atol=1e-12)
+    x, y = board.corners_m.T
+    quadrants = np.array([board.grey(x + dx, y + dy) for dx in (-0.01, 0.01) for dy in (-0.01, 0.01)])
+    assert np.all(quadrants[0] == quadrants[3]) and np.all(quadrants[1] == quadrants[2])
+    assert np.all(quadrants[0] != quadrants[1])
+    assert board.uniform(x + 0.02, y + 0.02, np.full(len(x), 0.015)).all()
+    assert not board.uniform(x + 0.02, y + 0.02, np.full(len(x), 0.025)).any()
+
+
+def test_thesis_angles():
+    """The camera starts squarely in front; yaw is left-handed about the axis up: the panel moves left in the image."""
+    start = thesis_pose((0, 0, 0), (0, 0, 0))
+    np.testing.assert_allclose(start.R, np.eye(3), atol=1e-15)
+    np.testing.assert_allclose(start.t, [0, 0, 1])
+    np.testing.assert_allclose(thesis_pose((0, 0, 0), (100, 20, 30)).t, [0.02, 0.03, 0.9], atol=1e-15)
+    for angles, moved in (((10, 0, 0), (-1, 0)), ((0, 10, 0), (0, 1))):
+        turned = thesis_pose(angles, (0, 0, 0))
+        np.testing.assert_allclose(turned.t[:2], np.sin(np.deg2rad(10)) * np.array(moved), atol=1e-15)
+    np.testing.assert_allclose(np.linalg.det(thesis_pose((7, -5, 40), (1, 2, 3)).R), 1)
 
 
 def test_rendering_does_not_depend_on_threads():

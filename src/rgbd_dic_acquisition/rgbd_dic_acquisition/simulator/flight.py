@@ -4,14 +4,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import SettingsError
 from ..settings import Settings, setting
 from .motion import CrackSettings, CrackState, HandheldMotion, MotionSettings, Pose, crack_state
 from .scene import CrackedPanel, PanelSettings
@@ -43,18 +40,6 @@ class FlightSettings(Settings):
     camera: CameraSettings = setting(CameraSettings(), doc="the greyscale camera")
     tof: TofSettings = setting(TofSettings(), doc="the ToF sensor")
     timing: TimingSettings = setting(TimingSettings(), doc="rates, clocks and latencies")
-
-    @classmethod
-    def from_mapping(cls, values: Mapping[str, Any], where: str = "settings") -> FlightSettings:
-        """From a mapping as a YAML file gives it, with one mapping a group; the rest keeps its default."""
-        if not isinstance(values, Mapping):
-            raise SettingsError(f"{where}: expected a mapping of names to values, got {values!r}")
-        groups = {field.name: type(field.default) for field in fields(cls)}
-        parsed = dict(values)
-        for name, kind in groups.items():
-            if issubclass(kind, Settings) and not isinstance(values.get(name, kind()), kind):
-                parsed[name] = kind.from_mapping(values[name], f"{where}.{name}")
-        return super().from_mapping(parsed, where)
 
 
 def sample_flight_settings() -> FlightSettings:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -16,6 +16,9 @@ from ..calibration import save_calibration
 from .flight import CAMERA_FRAME, TOF_FRAME, Flight, FlightSettings
 from .ground_truth import save_regions, save_truth
 from .motion import attitude
+
+if TYPE_CHECKING:
+    from .laboratory import Laboratory
 
 START_NS = 1_750_000_000 * 10**9  # host time at which every simulated flight begins
 
@@ -55,16 +58,7 @@ def simulate_flight(settings: FlightSettings, out: Path | str, progress: Progres
     """
     flight = Flight(settings)
     with BagWriter(out, settings.compression) as bag:
-        for topic, typename in TOPICS.items():
-            bag.add_topic(topic, typename, transient_local=topic == "/tf_static")
-        static = messages.transform_message(make_message, START_NS, flight.calibration, CAMERA_FRAME, TOF_FRAME)
-        bag.write_message("/tf_static", START_NS, static)
-        events = _events(flight)
-        for done, (arrived_ns, exposed_ns, kind, index) in enumerate(events, start=1):
-            for topic, message in _SENDERS[kind](flight, exposed_ns, index):
-                bag.write_message(topic, START_NS + arrived_ns, message, START_NS + arrived_ns)
-            if progress is not None:
-                progress(done, len(events))
+        write_flight(flight, bag, progress)
     exposures_ns = flight.camera_ticks().exposed_ns
     save_truth(flight, START_NS, exposures_ns, bag.path / "truth.csv")
     save_calibration(flight.calibration, bag.path / "calibration.yaml")
@@ -72,7 +66,21 @@ def simulate_flight(settings: FlightSettings, out: Path | str, progress: Progres
     return FlightSummary(bag.path, dict(bag.counts))
 
 
-def _events(flight: Flight) -> list[tuple[int, int, str, int]]:
+def write_flight(flight: Flight | Laboratory, bag: BagWriter, progress: Progress | None = None) -> None:
+    """All messages of a flight, as they arrive."""
+    for topic, typename in TOPICS.items():
+        bag.add_topic(topic, typename, transient_local=topic == "/tf_static")
+    static = messages.transform_message(make_message, START_NS, flight.calibration, CAMERA_FRAME, TOF_FRAME)
+    bag.write_message("/tf_static", START_NS, static)
+    events = _events(flight)
+    for done, (arrived_ns, exposed_ns, kind, index) in enumerate(events, start=1):
+        for topic, message in _SENDERS[kind](flight, exposed_ns, index):
+            bag.write_message(topic, START_NS + arrived_ns, message, START_NS + arrived_ns)
+        if progress is not None:
+            progress(done, len(events))
+
+
+def _events(flight: Flight | Laboratory) -> list[tuple[int, int, str, int]]:
     """(arrival, exposure, sensor, number) of every exposure, in the order of arrival [ns since the start]."""
     streams = {"camera": flight.camera_ticks(), "imu": flight.imu_ticks(), "tof": flight.tof_ticks()}
     return sorted(
@@ -82,7 +90,7 @@ def _events(flight: Flight) -> list[tuple[int, int, str, int]]:
     )
 
 
-def _camera_messages(flight: Flight, exposed_ns: int, index: int) -> Outgoing:
+def _camera_messages(flight: Flight | Laboratory, exposed_ns: int, index: int) -> Outgoing:
     stamp_ns, time_s = START_NS + exposed_ns, exposed_ns * 1e-9
     image = flight.image(time_s, index)
     yield "/camera/image_raw", messages.image_message(make_message, stamp_ns, CAMERA_FRAME, image, "mono8")
@@ -107,8 +115,8 @@ def _camera_messages(flight: Flight, exposed_ns: int, index: int) -> Outgoing:
     )
 
 
-def _tof_messages(flight: Flight, exposed_ns: int, index: int) -> Outgoing:
-    stamp_ns = START_NS + exposed_ns
+def _tof_messages(flight: Flight | Laboratory, exposed_ns: int, index: int) -> Outgoing:
+    stamp_ns = START_NS + exposed_ns + flight.tof_ticks().stamp_delay_ns
     frame = flight.depth(exposed_ns * 1e-9, index)
     yield (
         "/tof/depth/image_raw",
@@ -121,7 +129,7 @@ def _tof_messages(flight: Flight, exposed_ns: int, index: int) -> Outgoing:
         yield f"/tof/{name}/image_raw", image
 
 
-def _imu_messages(flight: Flight, exposed_ns: int, index: int) -> Outgoing:
+def _imu_messages(flight: Flight | Laboratory, exposed_ns: int, index: int) -> Outgoing:
     error = Rotation.from_rotvec(flight.attitude_error(index)).as_matrix()
     measured = Rotation.from_matrix(error @ attitude(flight.pose(exposed_ns * 1e-9)))
     variance = max(flight.settings.attitude_noise_rad**2, 1e-12)
@@ -137,7 +145,7 @@ def _imu_messages(flight: Flight, exposed_ns: int, index: int) -> Outgoing:
     )
 
 
-_SENDERS: dict[str, Callable[[Flight, int, int], Outgoing]] = {
+_SENDERS: dict[str, Callable[[Any, int, int], Outgoing]] = {
     "camera": _camera_messages,
     "imu": _imu_messages,
     "tof": _tof_messages,

@@ -82,6 +82,19 @@ class HandheldMotion:
         return Pose(turn @ self._average.R, turn @ self._average.t + sway[:3])
 
 
+def thesis_pose(orientation_deg: Array, position_mm: Array, panel_distance_m: float = 1.0) -> Pose:
+    """T_camera_panel from the numbers of the thesis' simulator (Tables 3.1 and 3.2).
+
+    Yaw, pitch and roll are left-handed on a body (forward, left, up) in a world x forward, y left, z up:
+    R_world_body = Rz(-yaw) Ry(-pitch) Rx(-roll). The panel's origin, on the crack, is at world (1, 0, 0) m.
+    """
+    yaw, pitch, roll = orientation_deg
+    R_world_body = Rotation.from_euler("ZYX", [-yaw, -pitch, -roll], degrees=True).as_matrix()
+    R_camera_world = R_CAMERA_BODY @ R_world_body.T
+    to_panel = np.array([panel_distance_m, 0.0, 0.0]) - np.asarray(position_mm, float) * 1e-3
+    return Pose(R_camera_world @ R_CAMERA_BODY.T, R_camera_world @ to_panel)
+
+
 def crack_state(settings: CrackSettings, time_s: float, duration_s: float) -> CrackState:
     """The crack at a time of a flight of this duration: exactly 0 at first, the final values at its end."""
     moving_s = max(duration_s - settings.still_s, 1e-9)

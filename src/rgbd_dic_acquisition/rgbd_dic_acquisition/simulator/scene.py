@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..settings import Settings, setting
 from .motion import CrackState, Pose
-from .speckle import Pattern
+from .speckle import FlatPattern, Pattern
 
 Array = NDArray[np.float64]
 
@@ -38,7 +38,8 @@ class Sight:
 
     Attributes:
         surface: uint8, WALL, PAINTED or GAP.
-        x_m, y_m: material coordinates in the panel frame at the reference [m]; meaningful where PAINTED.
+        x_m, y_m: material coordinates in the panel frame at the reference [m]; of the left plate's plane where the ray
+            ends on neither plate.
         z_m: depth along the optical axis [m].
     """
 
@@ -49,13 +50,16 @@ class Sight:
 
 
 class Scene(Protocol):
-    """Anything that can be looked at. A panel that bends is another class with these two methods."""
+    """Anything that can be looked at. A panel that bends is another class with these three methods."""
 
     def look(self, rays: Array, pose: Pose, crack: CrackState) -> Sight:
         """What rays (..., 3), z = 1, of a sensor at `pose` end on."""
 
     def grey(self, sight: Sight) -> Array:
         """Grey level (0-255, not rounded) of what they end on."""
+
+    def uniform(self, sight: Sight, crack: CrackState, reach_m: Array) -> NDArray[np.bool_] | None:
+        """Where all rays up to a distance on the panel [m] see the same, so that one does; None: nowhere."""
 
 
 class CrackedPanel:
@@ -98,9 +102,23 @@ class CrackedPanel:
 
     def grey(self, sight: Sight) -> Array:
         painted = sight.surface == PAINTED
-        grey = np.where(sight.surface == GAP, self.settings.gap_grey, self.settings.wall_grey)
+        grey = np.where(sight.surface == GAP, float(self.settings.gap_grey), float(self.settings.wall_grey))
         grey[painted] = self._pattern.grey(sight.x_m[painted], sight.y_m[painted])
         return grey
+
+    def uniform(self, sight: Sight, crack: CrackState, reach_m: Array) -> NDArray[np.bool_] | None:
+        """Where all rays up to a distance on the panel [m] see the same: away from every border of its parts."""
+        if not isinstance(self._pattern, FlatPattern):
+            return None
+        s, x, y = self.settings, sight.x_m, sight.y_m
+        across = np.abs(self.normal[0] * x + self.normal[1] * y)
+        within = np.minimum(s.width_m / 2 - np.abs(x), s.height_m / 2 - np.abs(y))
+        moved = float(np.linalg.norm(self.displacement(crack)))
+        overlap = max(-crack.opening_m, 0.0)
+        inner = (sight.surface == PAINTED) & (within > reach_m) & (across > s.gap_m / 2 + overlap + reach_m)
+        alike = (sight.surface == WALL) & (within < -moved - reach_m)
+        alike[inner] = self._pattern.uniform(x[inner], y[inner], reach_m[inner])
+        return alike
 
     def _inside(self, x: Array, y: Array) -> NDArray[np.bool_]:
         return (np.abs(x) <= self.settings.width_m / 2) & (np.abs(y) <= self.settings.height_m / 2)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from ..calibration import Calibration, Camera
 from ..settings import Settings, setting
 from .motion import CrackState, Pose
-from .scene import PAINTED, Scene
+from .scene import PAINTED, Scene, Sight
 
 Array = NDArray[np.float64]
 
@@ -91,17 +92,35 @@ class CameraModel:
         on_axis = np.stack([camera.cx + camera.fx * self._radii, np.full(RADII, camera.cy)], axis=1)
         ideal = camera.rays(camera.undistort(on_axis))[:, 0]
         self._scale = np.concatenate([[1.0], ideal[1:] / self._radii[1:]])
+        self._widest = max(1.0, float(np.max(np.diff(ideal) / np.diff(self._radii))))
 
     def radiance(self, scene: Scene, pose: Pose, crack: CrackState) -> Array:
         """Grey levels (rows, cols) without noise and rounding; `pose` is T_camera_panel."""
-
-        def render(rows: tuple[int, int]) -> Array:
-            sight = scene.look(self._rays(*rows), pose, crack)
-            s, count = self.settings.supersampling, rows[1] - rows[0]
-            return scene.grey(sight).reshape(count, s, self.camera.width, s).mean(axis=(1, 3))
-
         with ThreadPoolExecutor(self._workers) as pool:
-            return np.concatenate(list(pool.map(render, self._chunks)))
+            return np.concatenate(list(pool.map(partial(self._rows, scene, pose, crack), self._chunks)))
+
+    def _rows(self, scene: Scene, pose: Pose, crack: CrackState, chunk: tuple[int, int]) -> Array:
+        s, (first, last), width = self.settings.supersampling, chunk, self.camera.width
+        if s > 1:
+            rays = self._rays(np.arange(width, dtype=float), np.arange(first, last, dtype=float)[:, None])
+            sight = scene.look(rays, pose, crack)
+            alike = scene.uniform(sight, crack, self._reach_m(rays, sight, pose))
+            if alike is not None:
+                grey = scene.grey(sight)
+                rows, cols = np.nonzero(~alike)
+                inner = (np.arange(s) + 0.5) / s - 0.5
+                rays = self._rays(cols[:, None, None] + inner, first + rows[:, None, None] + inner[:, None])
+                grey[rows, cols] = scene.grey(scene.look(rays, pose, crack)).mean(axis=(1, 2))
+                return grey
+        rows = first + (np.arange((last - first) * s) + 0.5) / s - 0.5
+        sight = scene.look(self._rays(self._columns, rows[:, None]), pose, crack)
+        return scene.grey(sight).reshape(last - first, s, width, s).mean(axis=(1, 3))
+
+    def _reach_m(self, rays: Array, sight: Sight, pose: Pose) -> Array:
+        """At least how far on the panel the corners of a pixel are from what its middle sees [m]."""
+        slant = np.abs(rays @ pose.R[:, 2]) / np.linalg.norm(rays, axis=-1)
+        half_diagonal = np.sqrt(0.5) / min(self.camera.fx, self.camera.fy)
+        return 1.1 * self._widest * half_diagonal * sight.z_m / slant
 
     def expose(self, scene: Scene, pose: Pose, crack: CrackState, rng: np.random.Generator) -> NDArray[np.uint8]:
         """One image (rows, cols) with noise, in 8 bits."""
@@ -111,12 +130,11 @@ class CameraModel:
         noisy = s.offset + light + sigma * rng.standard_normal(light.shape)
         return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
 
-    def _rays(self, first_row: int, last_row: int) -> Array:
-        """Directions (samples down, samples across, 3), z = 1, of the samples in these rows."""
-        s, camera = self.settings.supersampling, self.camera
-        rows = first_row + (np.arange((last_row - first_row) * s) + 0.5) / s - 0.5
-        x = ((self._columns - camera.cx) / camera.fx)[None, :]
-        y = ((rows - camera.cy) / camera.fy)[:, None]
+    def _rays(self, columns: Array, rows: Array) -> Array:
+        """Directions (..., 3), z = 1, at raw pixel coordinates that broadcast to (...)."""
+        camera = self.camera
+        x = (columns - camera.cx) / camera.fx
+        y = (rows - camera.cy) / camera.fy
         scale = np.interp(np.sqrt(x**2 + y**2), self._radii, self._scale)
         return np.moveaxis(np.stack([x * scale, y * scale, np.ones_like(scale)]), 0, -1)  # axes apart: faster
 

@@ -1,13 +1,14 @@
-"""Speckle patterns: the grey level of the panel as a function of material coordinates.
+"""Patterns: the grey level of the panel as a function of material coordinates.
 
-Two kinds: `blobs`, a band-limited sum of Gaussian spots that can be interpolated to the last digits, and
-`disks`, sharp dark dots; the thesis' have a spacing of 1.3 widths and a variability of 0.49.
+Two kinds of speckle: `blobs`, a band-limited sum of Gaussian spots that can be interpolated to the last digits, and
+`disks`, sharp dark dots; the thesis' have a spacing of 1.3 widths and a variability of 0.49. And the checkerboard.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,14 @@ class Pattern(Protocol):
 
     def grey(self, x_m: Array, y_m: Array) -> Array:
         """Grey level (0-255, not rounded) at material coordinates [m], arrays of one shape."""
+
+
+@runtime_checkable
+class FlatPattern(Pattern, Protocol):
+    """A pattern of flat parts with sharp borders, most of which need not be supersampled."""
+
+    def uniform(self, x_m: Array, y_m: Array, reach_m: Array) -> NDArray[np.bool_]:
+        """Where the grey level is certainly the same up to a distance [m]; arrays of one shape."""
 
 
 @dataclass(frozen=True)
@@ -102,17 +111,59 @@ class DiskPattern:
         self._centres = spot_centres(settings, width_m, height_m, rng)
 
     def grey(self, x_m: Array, y_m: Array) -> Array:
+        inside = np.zeros(np.shape(x_m), bool)
+        for squared in self._squared_distances(x_m, y_m):
+            inside |= squared <= (self._settings.size_m / 2) ** 2
+        return np.where(inside, self._settings.dark, self._settings.light)
+
+    def uniform(self, x_m: Array, y_m: Array, reach_m: Array) -> NDArray[np.bool_]:
+        radius = self._settings.size_m / 2
+        covered, free = np.zeros(np.shape(x_m), bool), np.ones(np.shape(x_m), bool)
+        for squared in self._squared_distances(x_m, y_m):
+            covered |= squared < np.maximum(radius - reach_m, 0) ** 2
+            free &= squared > (radius + reach_m) ** 2
+        return covered | free
+
+    def _squared_distances(self, x_m: Array, y_m: Array) -> Iterator[Array]:
+        """From the centres of the nine spots of the lattice around each point [m^2]; no other is within a spacing."""
         rows, cols = self._centres.shape[:2]
         spacing = self._settings.size_m * self._settings.spacing
         col = np.clip(np.rint(x_m / spacing + (cols - 1) / 2).astype(int), 1, cols - 2)
         row = np.clip(np.rint(y_m / spacing + (rows - 1) / 2).astype(int), 1, rows - 2)
-        inside = np.zeros(np.shape(x_m), bool)
-        for down in (-1, 0, 1):
+        index = row * cols + col
+        x, y = np.ascontiguousarray(self._centres.reshape(-1, 2).T)
+        for down in (-cols, 0, cols):
             for right in (-1, 0, 1):
-                centre = self._centres[row + down, col + right]
-                squared = (x_m - centre[..., 0]) ** 2 + (y_m - centre[..., 1]) ** 2
-                inside |= squared <= (self._settings.size_m / 2) ** 2
-        return np.where(inside, self._settings.dark, self._settings.light)
+                at = index + (down + right)
+                yield (x_m - x[at]) ** 2 + (y_m - y[at]) ** 2
+
+
+class Checkerboard:
+    """Squares, dark and light, centred on the origin; a light margin around them."""
+
+    def __init__(self, rows: int, cols: int, square_m: float, dark: float = 20.0, light: float = 225.0) -> None:
+        self.rows, self.cols, self.square_m = rows, cols, square_m
+        self._dark, self._light = dark, light
+
+    @property
+    def corners_m(self) -> Array:
+        """The inner corners ((rows - 1) (cols - 1), 2), row by row [m]."""
+        col, row = np.meshgrid(np.arange(1, self.cols), np.arange(1, self.rows))
+        return self.square_m * (np.stack([col, row], axis=-1).reshape(-1, 2) - np.array([self.cols, self.rows]) / 2)
+
+    def grey(self, x_m: Array, y_m: Array) -> Array:
+        col, row = self._cells(x_m, y_m)
+        on_board = (col >= 0) & (col < self.cols) & (row >= 0) & (row < self.rows)
+        dark = on_board & ((np.floor(col) + np.floor(row)) % 2 == 0)
+        return np.where(dark, self._dark, self._light)
+
+    def uniform(self, x_m: Array, y_m: Array, reach_m: Array) -> NDArray[np.bool_]:
+        col, row = self._cells(x_m, y_m)
+        reach = reach_m / self.square_m
+        return (np.abs(col - np.rint(col)) > reach) & (np.abs(row - np.rint(row)) > reach)
+
+    def _cells(self, x_m: Array, y_m: Array) -> tuple[Array, Array]:
+        return x_m / self.square_m + self.cols / 2, y_m / self.square_m + self.rows / 2
 
 
 def make_pattern(settings: SpeckleSettings, width_m: float, height_m: float, rng: np.random.Generator) -> Pattern:

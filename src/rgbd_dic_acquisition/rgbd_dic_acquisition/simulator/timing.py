@@ -28,10 +28,14 @@ class TimingSettings(Settings):
 
 @dataclass(frozen=True)
 class Ticks:
-    """Moments of one sensor, (N,) int64 [ns since the start of the flight], both strictly increasing."""
+    """Moments of one sensor, (N,) int64 [ns since the start of the flight], both strictly increasing.
+
+    stamp_delay_ns: a constant error of the stamps, which say that the exposure was later by this.
+    """
 
     exposed_ns: NDArray[np.int64]
     arrived_ns: NDArray[np.int64]
+    stamp_delay_ns: int = 0
 
 
 def ticks(
