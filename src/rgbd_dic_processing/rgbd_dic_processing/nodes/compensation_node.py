@@ -38,7 +38,7 @@ class CompensationNode(Node):
         )
         self._step: DisplacementMeasurement | None = None
         self._camera = CameraInput(self, self._diagnostics, sensor_qos(self), self._start)
-        self._idle = IdleFlush(self, lambda: self._publish(self._step.flush()))
+        self._idle = IdleFlush(self, lambda: self._publish(self._step.flush()), IdleFlush.AFTER_OTHERS_S)
 
     def _start(self, camera: Camera) -> None:
         step = self._step = DisplacementMeasurement(camera, self._regions, self._settings)

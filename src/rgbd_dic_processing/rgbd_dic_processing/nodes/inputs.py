@@ -77,9 +77,10 @@ class IdleFlush:
     """
 
     IDLE_S = 2.0
+    AFTER_OTHERS_S = 3.0  # for a node that is fed by nodes which flush too: what they settle comes first
 
-    def __init__(self, node: Node, flush: Callable[[], None]):
-        self._node, self._flush, self._last, self._pending = node, flush, 0.0, False
+    def __init__(self, node: Node, flush: Callable[[], None], idle_s: float = IDLE_S):
+        self._node, self._flush, self._idle_s, self._last, self._pending = node, flush, idle_s, 0.0, False
         self._replay = node.get_parameter("use_sim_time").value
         self._timer = node.create_timer(0.25, self._check, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
@@ -88,7 +89,7 @@ class IdleFlush:
         self._last, self._pending = time.monotonic(), True
 
     def _check(self) -> None:
-        if not self._pending or time.monotonic() - self._last < self.IDLE_S:
+        if not self._pending or time.monotonic() - self._last < self._idle_s:
             return
         if self._replay and self._node.count_publishers("/clock"):
             return
