@@ -88,7 +88,12 @@ def calibrate(corners: list[Array]) -> dict[str, Any]:
     )
     k1, k2 = distortion.ravel()[:2]
     values = [K[0, 0], K[1, 1], K[0, 2], K[1, 2], k1, k2]
-    return {"values": [float(v) for v in values], "sigma": deviations.ravel()[:6].tolist(), "rms_px": float(rms)}
+    # OpenCV's last digits differ from run to run; parts that depend on these values are kept for the next run.
+    return {
+        "values": [round(float(v), 6) for v in values],
+        "sigma": [round(float(v), 9) for v in deviations.ravel()[:6]],
+        "rms_px": round(float(rms), 9),
+    }
 
 
 def calibrated_camera(calibration: dict[str, Any]) -> Camera:
