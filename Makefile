@@ -60,7 +60,7 @@ sample: build                    ## bags/sample, anew
 	@rm -rf bags/sample
 	@$(run) rgbd-dic simulate --preset sample --out bags/sample
 
-compile := UV_PYTHON_DOWNLOADS=never uv pip compile --universal --generate-hashes --no-emit-index-url \
+compile := UV_PYTHON_DOWNLOADS=never uv pip compile --universal --generate-hashes --no-strip-extras --no-emit-index-url \
 	  --no-emit-find-links --no-annotate --no-header
 lock:                            ## the pinned requirements from requirements*.in (needs uv)
 	$(compile) --python-version 3.10 requirements.in -o requirements.txt

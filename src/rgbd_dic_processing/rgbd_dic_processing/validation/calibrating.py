@@ -88,11 +88,10 @@ def calibrate(corners: list[Array]) -> dict[str, Any]:
     )
     k1, k2 = distortion.ravel()[:2]
     values = [K[0, 0], K[1, 1], K[0, 2], K[1, 2], k1, k2]
-    # OpenCV's last digits differ from run to run; parts that depend on these values are kept for the next run.
     return {
-        "values": [round(float(v), 6) for v in values],
-        "sigma": [round(float(v), 9) for v in deviations.ravel()[:6]],
-        "rms_px": round(float(rms), 9),
+        "values": [float(v) for v in values],
+        "sigma": [float(v) for v in deviations.ravel()[:6]],
+        "rms_px": float(rms),
     }
 
 

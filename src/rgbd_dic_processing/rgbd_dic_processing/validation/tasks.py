@@ -47,6 +47,11 @@ def board(folder: Path, view: int) -> Any:
     return calibrating.board_corners(view).tolist()
 
 
+def calibration(folder: Path, corners: list[list[list[float]]]) -> Any:
+    """The camera, from the corners of all views [px]."""
+    return calibrating.calibrate([np.array(points) for points in corners])
+
+
 def blobs(folder: Path, reference: int, shot: int, calibrated: list[float]) -> Any:
     """A pair with the band-limited pattern: as 8-bit images and unrounded, with three calibrations, with plain subsets.
 
@@ -90,25 +95,28 @@ def disks(folder: Path, reference: int, shot: int) -> Any:
     return {"summaries": summaries, "floor_mm": quantisation_floor_mm(exact[0], tracked, base, view)}
 
 
-def noisy(folder: Path, reference: int, shot: int, noise: float) -> Any:
-    """How often the truth lies within two standard uncertainties: of the subsets' coordinates, and of the openings."""
+def noisy(folder: Path, reference: int, shot: int, noise: float, realisations: int) -> Any:
+    """How often the truth lies within two standard uncertainties: of the subsets' coordinates, and of the openings.
+
+    Each realisation has noise of its own, and light that is a fraction of a grey level brighter, so that no two of them
+    share their rounding.
+    """
     base, view, exact = _views(folder, "blobs", reference, shot)
-    images = tuple(
-        exposed(picture, noise, (reference, shot, which, round(10 * noise))) for which, picture in enumerate(exact)
-    )
-    tracked = track(base, images, SETTINGS)
-    ratio = (tracked.moved_px - true_px(base, view, tracked.reference.centres_px)) / tracked.fields[1].sigma_px
-    ratio = ratio[_on_plates(tracked, base)]
-    openings = {
-        method: (measured.opening.opening_m * 1e3 - view.crack_mm) / (measured.opening.u_opening_m * 1e3)
-        for method, measured in measure(tracked, base, view).items()
-    }
-    return {
-        "within": int((np.abs(ratio) <= 2).sum()),
-        "of": int(ratio.size),
-        "squares": float(np.sum(ratio**2)),
-        "openings": openings,
-    }
+    within, of, squares = 0, 0, 0.0
+    openings: dict[str, list[float]] = {}
+    for realisation in range(realisations):
+        seed = (reference, shot, realisation, round(10 * noise))
+        brighter = np.random.default_rng(seed).uniform(0, 1, 2).astype(np.float32)
+        images = tuple(exposed(exact[i] + brighter[i], noise, (*seed, i)) for i in (0, 1))
+        tracked = track(base, images, SETTINGS)
+        error_px = tracked.moved_px - true_px(base, view, tracked.reference.centres_px)
+        ratio = (error_px / tracked.fields[1].sigma_px)[_on_plates(tracked, base)]
+        within, of, squares = within + int((np.abs(ratio) <= 2).sum()), of + ratio.size, squares + float(np.sum(ratio**2))
+        for method, measured in measure(tracked, base, view).items():
+            opening = measured.opening
+            ratio_of_opening = (opening.opening_m - view.crack_mm * 1e-3) / opening.u_opening_m
+            openings.setdefault(method, []).append(ratio_of_opening)
+    return {"within": within, "of": of, "squares": squares, "openings": openings}
 
 
 def summarise(measured: dict[str, Measured], reference: Shot, shot: Shot) -> Summary:

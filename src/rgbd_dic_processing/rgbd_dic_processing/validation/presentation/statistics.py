@@ -76,4 +76,4 @@ def coverage(data: Chapter3, noise: float) -> float:
 
 def opening_ratios(data: Chapter3, noise: float, method: str) -> Array:
     """Error of each opening over its standard uncertainty."""
-    return np.array([result["openings"][method] for result in data.noisy[noise].values()])
+    return np.concatenate([result["openings"][method] for result in data.noisy[noise].values()])

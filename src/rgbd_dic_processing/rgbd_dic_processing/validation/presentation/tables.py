@@ -303,8 +303,8 @@ def _coverage(data: Chapter3) -> str:
         for method in ORDER:
             ratios = opening_ratios(data, noise, method)
             cells.append(f"{np.mean(np.abs(ratios) <= 2):.1%} ({np.sqrt(np.mean(ratios**2)):.2f})")
-        rows.append((f"{noise:g}", *cells, str(len(data.noisy[noise]))))
-    header = ("noise [grey levels]", "subsets", *(f"openings, `{method}`" for method in ORDER), "images")
+        rows.append((f"{noise:g}", *cells, str(len(ratios))))
+    header = ("noise [grey levels]", "subsets", *(f"openings, `{method}`" for method in ORDER), "openings each")
     return table(header, rows)
 
 
