@@ -111,7 +111,11 @@ def noisy(folder: Path, reference: int, shot: int, noise: float, realisations: i
         tracked = track(base, images, SETTINGS)
         error_px = tracked.moved_px - true_px(base, view, tracked.reference.centres_px)
         ratio = (error_px / tracked.fields[1].sigma_px)[_on_plates(tracked, base)]
-        within, of, squares = within + int((np.abs(ratio) <= 2).sum()), of + ratio.size, squares + float(np.sum(ratio**2))
+        within, of, squares = (
+            within + int((np.abs(ratio) <= 2).sum()),
+            of + ratio.size,
+            squares + float(np.sum(ratio**2)),
+        )
         for method, measured in measure(tracked, base, view).items():
             opening = measured.opening
             ratio_of_opening = (opening.opening_m - view.crack_mm * 1e-3) / opening.u_opening_m
