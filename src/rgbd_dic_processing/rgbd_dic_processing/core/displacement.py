@@ -9,7 +9,7 @@ import numpy as np
 from rgbd_dic_acquisition.calibration import Camera
 from rgbd_dic_acquisition.errors import RgbdDicError
 
-from .compensation import h_2d, h_3d, h_pose, pc_3d
+from .compensation import h_2d, h_3d, h_joint, h_pose, pc_3d
 from .compensation.motion import FrameView
 from .displacement_field import DisplacementField
 from .geometry import Plane
@@ -24,6 +24,7 @@ from .subset_field import Reference, SubsetField
 
 SOLVERS = {
     "h_pose": h_pose.compensate,
+    "h_joint": h_joint.compensate,
     "h_3d": h_3d.compensate,
     "h_2d": h_2d.compensate,
     "pc_3d": pc_3d.compensate,
@@ -98,6 +99,7 @@ class DisplacementMeasurement:
                 reference_plane,
                 plane,
                 base.homography(frame.field),
+                base.panel_geometry(reference_plane),
             )
             compensation = SOLVERS[self._settings.method](view, self._settings)
             return base.displacement(frame, self._settings.method, view, compensation, reference_plane)

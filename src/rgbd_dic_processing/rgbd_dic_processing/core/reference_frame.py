@@ -10,7 +10,7 @@ from rgbd_dic_acquisition.calibration import Camera
 from rgbd_dic_acquisition.errors import MeasurementError
 from scipy.sparse import csr_matrix
 
-from .compensation.motion import Compensation, FrameView
+from .compensation.motion import Compensation, FrameView, PanelGeometry
 from .displacement_field import DisplacementField
 from .geometry import Plane, apply_homography
 from .joining import JoinedFrame
@@ -129,6 +129,20 @@ class ReferenceFrame:
             compensation.residual_px,
             frame.field.image_received_ns,
         )
+
+    def panel_geometry(self, plane: Plane) -> PanelGeometry:
+        """Where the subsets are on the reference's plane, in axes of the crack; without one, of the panel."""
+        points = plane.points(self.camera.rays(self.ideal_px))
+        realignment = self._realignment(plane)
+        axes, origin = realignment.R_panel_camera[:2].T, np.nanmean(points, axis=0)
+        if self.regions.crack is not None:
+            zones = self.regions.crack
+            drawn = zones.point + np.outer((-0.5, 0, 0.5), zones.direction)
+            seen = apply_homography(self.reference.homography, self.camera.undistort(drawn))
+            above, origin, below = plane.points(self.camera.rays(seen))
+            along = (below - above) / np.linalg.norm(below - above)
+            axes = np.column_stack([np.cross(along, plane.normal), along])
+        return PanelGeometry((points - origin) @ axes, self.right, axes)
 
     def _realignment(self, plane: Plane) -> Realignment:
         if self.regions.x_axis is not None:

@@ -100,7 +100,7 @@ class CompensationSettings(Settings):
     """The removal of the camera's motion."""
 
     method: str = setting(
-        "h_pose", choices=("h_pose", "h_3d", "h_2d", "pc_3d"), doc="How the motion is estimated and removed."
+        "h_pose", choices=("h_pose", "h_joint", "h_3d", "h_2d", "pc_3d"), doc="How the motion is estimated and removed."
     )
     min_subsets: int = setting(12, unit="subsets", low=4, high=100000, doc="Fewest valid subsets in the fixed region.")
     inlier_px: float = setting(
@@ -113,6 +113,9 @@ class CompensationSettings(Settings):
     max_trials: int = setting(500, unit="samples", low=10, high=100000, doc="MSAC: most samples drawn.")
     robust_sigmas: float = setting(
         3.0, low=1.0, high=10.0, doc="h_pose: residuals beyond this many standard deviations lose weight."
+    )
+    deformation_order: int = setting(
+        3, low=1, high=5, doc="h_joint: order of the polynomials that each side of the crack deforms by."
     )
     carry_offset_s: float = setting(
         0.01,

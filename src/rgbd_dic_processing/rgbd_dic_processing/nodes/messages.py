@@ -29,7 +29,7 @@ from ..core.status import FrameStatus
 from ..core.subset_field import Reference, SubsetField
 
 PANEL_FRAME = "panel"
-METHOD_CODES = {"h_3d": 0, "h_2d": 1, "pc_3d": 2, "h_pose": 3}  # rgbd_dic_msgs/Method
+METHOD_CODES = {"h_3d": 0, "h_2d": 1, "pc_3d": 2, "h_pose": 3, "h_joint": 4}  # rgbd_dic_msgs/Method
 METHOD_NAMES = {code: name for name, code in METHOD_CODES.items()}
 
 

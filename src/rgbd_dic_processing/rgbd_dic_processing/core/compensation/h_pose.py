@@ -49,7 +49,7 @@ def compensate(view: FrameView, settings: CompensationSettings) -> Compensation:
     normal_matrix = np.einsum("pma,qma->pq", weighted, jacobian)
     sensitivity = np.einsum("pq,qma->pma", np.linalg.inv(normal_matrix), weighted)
     dic_modes, coupling = linear_modes(sensitivity, sigma_px, view.correlation, fixed)
-    poses = [(_displaced(pose, mode), view.reference_plane) for mode in dic_modes]
+    poses = [(displaced(pose, mode), view.reference_plane) for mode in dic_modes]
     for mode in independent_modes(view.reference_plane.inverse_depth_covariance()):
         plane = Plane.from_inverse_depth(view.reference_plane.inverse_depth + mode)
         poses.append((fit_pose(*data, plane, pose, settings.robust_sigmas)[0], plane))
@@ -93,7 +93,7 @@ def fit_pose(
         if not np.all(z > 0):
             break
         residual = target_px - camera.project(moved)
-        jacobian = _jacobian(focal, turned, moved)
+        jacobian = pose_jacobian(focal, turned, moved)
         if iteration < MISFIT_ITERATIONS:  # pose and misfit, each following the other, may take very long
             misfit_px = misfit_of(residual, sigma_px)
         variance = sigma_px**2 + misfit_px**2
@@ -102,19 +102,23 @@ def fit_pose(
         weights = huber[:, None] / variance
         weighted = jacobian * weights
         step = np.linalg.solve(np.einsum("pma,qma->pq", weighted, jacobian), np.einsum("pma,ma->p", weighted, residual))
-        R, t = _displaced((R, t), step)
+        R, t = displaced((R, t), step)
         if np.sqrt(np.mean(np.square(np.einsum("p,pma->ma", step, jacobian)))) < CONVERGED_PX:
             return (R, t), jacobian, weights, misfit_px
     raise MeasurementError("the pose of the fixed region did not converge")
 
 
-def _jacobian(focal: Array, turned: Array, moved: Array) -> Array:
+def pose_jacobian(focal: Array, turned: Array, moved: Array) -> Array:
     """d pixel / d (rotation vector, translation), (6, M, 2), for R <- exp(w) R, t <- t + dt."""
     by_point = np.concatenate([-skew(turned), np.broadcast_to(np.eye(3), (len(turned), 3, 3))], axis=2)
+    return pixel_jacobian(focal, np.transpose(by_point, (2, 0, 1)), moved)
+
+
+def pixel_jacobian(focal: Array, steps: Array, moved: Array) -> Array:
+    """(k, M, 2), by how many pixels points (M, 3) in the camera's frame move with steps (k, M, 3)."""
     z = moved[:, 2, None]
-    by_pixel = (by_point[:, :2] - (moved[:, :2] / z)[:, :, None] * by_point[:, 2:]) / z[:, :, None]
-    return np.transpose(by_pixel * focal[:, None], (2, 0, 1))
+    return (steps[..., :2] - (moved[:, :2] / z) * steps[..., 2:]) / z * focal
 
 
-def _displaced(pose: Pose, step: Array) -> Pose:
+def displaced(pose: Pose, step: Array) -> Pose:
     return Rotation.from_rotvec(step[:3]).as_matrix() @ pose[0], pose[1] + step[3:]

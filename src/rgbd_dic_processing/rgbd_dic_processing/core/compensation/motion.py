@@ -18,6 +18,18 @@ MEDIAN_LENGTH = 1.1774  # of a normal residual in two dimensions, in standard de
 
 
 @dataclass(frozen=True)
+class PanelGeometry:
+    """N subsets on the reference's plane, in axes of the crack: x across it, y along it, origin at its point.
+
+    points_m: (N, 2). right: (N,), those right of the crack's line. axes: (3, 2), x and y in the camera's frame.
+    """
+
+    points_m: Array
+    right: NDArray[np.bool_]
+    axes: Array
+
+
+@dataclass(frozen=True)
 class FrameView:
     """One frame as the solvers see it. Pixels are ideal (undistorted), N subsets.
 
@@ -27,6 +39,7 @@ class FrameView:
     reference_plane: the panel in the reference frame.
     plane: the panel in this frame, from the paired ToF frame; None if there is none.
     seed: homography (3, 3) reference -> image that the DIC started from.
+    panel: where the subsets are on the panel.
     """
 
     camera: Camera
@@ -38,6 +51,7 @@ class FrameView:
     reference_plane: Plane
     plane: Plane | None
     seed: Array
+    panel: PanelGeometry
 
 
 @dataclass(frozen=True)
