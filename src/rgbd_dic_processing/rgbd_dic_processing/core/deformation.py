@@ -15,17 +15,20 @@ Mask = NDArray[np.bool_]
 class DeformationBasis:
     """In-plane displacements of points of the panel, linear in q coefficients.
 
-    Each side has all polynomials up to an order but for its rigid motion. If both sides are there, four coefficients
-    more are the rigid motion of each: how far they part, slide and turn against each other, half of it each, and how
-    far both turn together about the crack. Points are in panel coordinates from an origin on the crack, x across it.
+    Each side has all polynomials up to an order but for its rigid motion. If both sides are there, the last three
+    coefficients are how far they part, slide and turn against each other. Half of it is given to each, as nothing tells
+    which side moved: so the motion's axes are those that turn with the crack. Points are in panel coordinates from an
+    origin on the crack, x across it.
 
     modes: (q, M, 2), displacement of the points used [m] by each coefficient.
-    energy: (q, q), c^T energy c is the mean of e_xx^2 + e_yy^2 + 2 e_xy^2 over the points, the strain energy of a plate
-        of unit stiffness without Poisson's effect; the turn of both sides together counts as twice its square.
+    energies: (order, q, q), c^T energies[d - 1] c is the mean over the points of e_xx^2 + e_yy^2 + 2 e_xy^2 by the
+        polynomials of degree d: the strain energy of a plate of unit stiffness without Poisson's effect.
+    counts: (order,), how many coefficients have each degree.
     """
 
     modes: Array
-    energy: Array
+    energies: Array
+    counts: NDArray[np.intp]
 
     @classmethod
     def of(cls, points_m: Array, right: Mask, order: int) -> DeformationBasis:
@@ -33,32 +36,28 @@ class DeformationBasis:
         length = float(np.sqrt(np.mean(np.sum(points_m**2, axis=1))))
         scaled = points_m / length
         sides = [side for side in (~right, right) if side.any()]
-        fields, gradients = _polynomials(scaled, order)
+        fields, gradients, degrees = _polynomials(scaled, order)
         modes = [np.where(side[:, None], field, 0) for side in sides for field in fields]
         strains = [np.where(side[:, None], _strain(gradient), 0) for side in sides for gradient in gradients]
         stiff = len(strains)
         if len(sides) == 2:
             modes += _rigid_modes(scaled, right)
-        energy = np.zeros((len(modes), len(modes)))
-        strain = np.array(strains)
-        energy[:stiff, :stiff] = np.einsum("pmk,qmk->pq", strain, strain) / len(points_m)
-        if len(sides) == 2:
-            energy[-1, -1] = 2.0
-        return cls(length * np.array(modes), energy)
-
-    @property
-    def penalised(self) -> int:
-        """Number of coefficients that cost energy."""
-        return int(np.sum(np.diag(self.energy) > 0))
+        strain, degree = np.array(strains), np.tile(degrees, len(sides))
+        energies = np.zeros((order, len(modes), len(modes)))
+        for group, energy in enumerate(energies, start=1):
+            of_degree = np.where(degree == group, 1.0, 0.0)
+            energy[:stiff, :stiff] = np.einsum("p,q,pmk,qmk->pq", of_degree, of_degree, strain, strain) / len(points_m)
+        return cls(length * np.array(modes), energies, np.bincount(degree)[1:])
 
 
-def _polynomials(points: Array, order: int) -> tuple[list[Array], list[Array]]:
-    """Displacements (M, 2) and their gradients d_i u_j (M, 2, 2) without rigid motion."""
+def _polynomials(points: Array, order: int) -> tuple[list[Array], list[Array], list[int]]:
+    """Displacements (M, 2), their gradients du_i / dx_j (M, 2, 2), and their degrees; no rigid motion is among them."""
     x, y = points.T
     zero, one = np.zeros_like(x), np.ones_like(x)
     # of first order only the strains: along x, along y, and shear without a turn
     fields = [np.stack([x, zero], 1), np.stack([zero, y], 1), np.stack([y, x], 1)]
     gradients = [_gradient(one, zero, zero, zero), _gradient(zero, zero, zero, one), _gradient(zero, one, one, zero)]
+    degrees = [1, 1, 1]
     for degree in range(2, order + 1):
         for i in range(degree + 1):
             power = x ** (degree - i) * y**i
@@ -66,7 +65,8 @@ def _polynomials(points: Array, order: int) -> tuple[list[Array], list[Array]]:
             by_y = i * x ** (degree - i) * y ** max(i - 1, 0)
             fields += [np.stack([power, zero], 1), np.stack([zero, power], 1)]
             gradients += [_gradient(by_x, by_y, zero, zero), _gradient(zero, zero, by_x, by_y)]
-    return fields, gradients
+            degrees += [degree, degree]
+    return fields, gradients, degrees
 
 
 def _gradient(xx: Array, xy: Array, yx: Array, yy: Array) -> Array:
@@ -82,9 +82,8 @@ def _strain(gradient: Array) -> Array:
 
 
 def _rigid_modes(points: Array, right: Mask) -> list[Array]:
-    """The sides apart, along each other, turned against each other, and turned together."""
+    """The sides apart, along each other, and turned against each other."""
     x, y = points.T
     half = np.where(right, 0.5, -0.5)
-    turn = np.stack([-y, x], 1)
     zero = np.zeros_like(x)
-    return [np.stack([half, zero], 1), np.stack([zero, half], 1), half[:, None] * turn, turn]
+    return [np.stack([half, zero], 1), np.stack([zero, half], 1), np.stack([-half * y, half * x], 1)]

@@ -19,20 +19,26 @@ from ..deformation import DeformationBasis
 from ..geometry import Plane, plane_homography, pose_from_homography
 from ..settings import CompensationSettings
 from ..uncertainty import independent_modes, linear_modes
-from .h_pose import CONVERGED_PX, Pose, displaced, fit_pose, pixel_jacobian, pose_jacobian
+from .h_pose import Pose, displaced, fit_pose, pixel_jacobian, pose_jacobian
 from .motion import Compensation, FrameView, HomographyMotion, misfit_of
 
 Array = NDArray[np.float64]
 
-ITERATIONS = 30
-ENERGY_ITERATIONS = 20  # of the strain's size, in each of them
+POSE = 6  # parameters: rotation vector and translation; the deformation's follow
+MOST_SUBSETS = 800  # of the fixed region that are used: they overlap, and more tell hardly more
+MAX_ITERATIONS = 20
+MISFIT_ITERATIONS = 4  # in which the misfit is estimated along
+CONVERGED_PX = 1e-5  # RMS change of the reprojection at which the iteration ends
+STRAIN_ITERATIONS = 30  # of the strain's size, in each of them
 LEAST_STRAIN = 1e-8  # a panel is not believed to be stiffer
+POOLED = 0.3  # how much the strain of all degrees counts in that of each, as a part of its number of coefficients
 
 
 @dataclass(frozen=True)
 class JointFit:
-    """Pose and deformation of the fixed region's M subsets, at their most likely.
+    """Pose and deformation of the fixed region, at their most likely.
 
+    used: (M,), indices of its subsets that were used.
     coefficients: (q,) of the basis. strain: the standard deviation that its coefficients were given [1].
     gain: (6, M, 2), change of the pose (rotation vector, translation) by the subsets' pixels.
     confounded: (6, 6), covariance of the pose from what the images cannot tell from deformation.
@@ -40,8 +46,9 @@ class JointFit:
     """
 
     pose: Pose
+    used: NDArray[np.intp]
     coefficients: Array
-    strain: float
+    strains: Array
     gain: Array
     confounded: Array
     residual_px: Array
@@ -55,7 +62,7 @@ def compensate(view: FrameView, settings: CompensationSettings) -> Compensation:
         MeasurementError: if it does not converge, or the fixed region moves unlike a smoothly deformed plane.
     """
     fit = fit_joint(view, view.reference_plane, settings)
-    fixed, sigma_px = view.fixed, np.hypot(view.sigma_px, fit.misfit_px)
+    fixed, sigma_px = fit.used, np.hypot(view.sigma_px, fit.misfit_px)
     motion = HomographyMotion(plane_homography(view.camera, *fit.pose, view.reference_plane))
     agreeing = np.linalg.norm(fit.residual_px / sigma_px[fixed], axis=1) <= 3 * settings.robust_sigmas
     residual_px = float(np.sqrt(np.mean(np.sum(fit.residual_px[agreeing] ** 2, axis=1)))) if agreeing.any() else np.inf
@@ -87,6 +94,8 @@ def fit_joint(view: FrameView, plane: Plane, settings: CompensationSettings) -> 
         MeasurementError: if it does not converge.
     """
     camera, fixed = view.camera, view.fixed
+    if len(fixed) > MOST_SUBSETS:
+        fixed = np.sort(np.random.default_rng(0).permutation(fixed)[:MOST_SUBSETS])
     sigma_px, target = view.sigma_px[fixed], view.moved_px[fixed]
     start = pose_from_homography(camera, view.seed, plane)
     (R, t), *_ = fit_pose(camera, view.reference_px[fixed], target, sigma_px, plane, start, settings.robust_sigmas)
@@ -94,45 +103,52 @@ def fit_joint(view: FrameView, plane: Plane, settings: CompensationSettings) -> 
     if right.all() or not right.any():
         on_panel = on_panel - on_panel.mean(axis=0)
     basis = DeformationBasis.of(on_panel, right, settings.deformation_order)
-    modes = np.einsum("qmk,ik->qmi", basis.modes, view.panel.axes)
+    modes = basis.modes @ view.panel.axes.T
     points = plane.points(camera.rays(view.reference_px[fixed]))
     focal = np.array([camera.fx, camera.fy])
     shared = view.correlation[fixed][:, fixed].sum() / len(fixed)
-    c, strain = np.zeros(len(modes)), 1e-3
-    for _ in range(ITERATIONS):
+    c, strains, misfit_px = np.zeros(len(modes)), np.full(settings.deformation_order, 1e-3), 0.0
+    for iteration in range(MAX_ITERATIONS):
         turned = (points + np.tensordot(c, modes, 1)) @ R.T
         moved = turned + t
         residual = target - camera.project(moved)
         jacobian = np.concatenate([pose_jacobian(focal, turned, moved), pixel_jacobian(focal, modes @ R.T, moved)])
-        misfit_px = misfit_of(residual, sigma_px)
-        variance = sigma_px**2 + misfit_px**2
-        huber = np.minimum(1, settings.robust_sigmas / np.maximum(np.sqrt(np.sum(residual**2 / variance, axis=1)), 1e-12))
+        if 0 < iteration < MISFIT_ITERATIONS:  # before, the deformation is in the residual
+            misfit_px = misfit_of(residual, sigma_px)
+        variance = sigma_px**2 + (misfit_px if iteration else misfit_of(residual, sigma_px)) ** 2
+        lengths = np.sqrt(np.sum(residual**2 / variance, axis=1))
+        huber = np.minimum(1, settings.robust_sigmas / np.maximum(lengths, 1e-12))
         weighted = jacobian * (huber[:, None] / variance / shared)
-        flat, flat_weighted = jacobian.reshape(len(jacobian), -1), weighted.reshape(len(jacobian), -1)
-        normal, by_data = flat_weighted @ flat.T, flat_weighted @ residual.ravel()
-        by_data[6:] += normal[6:, 6:] @ c  # solved for the coefficients themselves, not for their step
-        by_data[:6] += normal[:6, 6:] @ c
-        solution, covariance, prior, strain = _most_likely(normal, by_data, basis, strain)
-        (R, t), change = displaced((R, t), solution[:6]), solution[6:] - c
-        c = solution[6:]
-        step = np.concatenate([solution[:6], change])
-        if np.sqrt(np.mean(np.square(np.tensordot(step, jacobian, 1)))) < CONVERGED_PX:
-            break
-    else:
-        raise MeasurementError("h_joint: pose and deformation of the fixed region did not converge")
-    gain = np.tensordot(covariance[:6], weighted, 1)
-    confounded = (covariance @ prior @ covariance)[:6, :6]
-    return JointFit((R, t), c, strain, gain, confounded, residual, misfit_px)
+        flat = jacobian.reshape(len(jacobian), -1)
+        flat_weighted = weighted.reshape(flat.shape)
+        normal = flat_weighted @ flat.T
+        by_data = flat_weighted @ residual.ravel() + normal[:, POSE:] @ c  # for the coefficients, not for their step
+        solution, covariance, prior, strains = _most_likely(normal, by_data, basis, strains)
+        step = np.concatenate([solution[:POSE], solution[POSE:] - c])
+        (R, t), c = displaced((R, t), solution[:POSE]), solution[POSE:]
+        if iteration >= MISFIT_ITERATIONS and np.sqrt(np.mean(np.square(step @ flat))) < CONVERGED_PX:
+            gain = np.tensordot(covariance[:POSE], weighted, 1)
+            confounded = (covariance @ prior @ covariance)[:POSE, :POSE]
+            return JointFit((R, t), fixed, c, strains, gain, confounded, residual, misfit_px)
+    raise MeasurementError("h_joint: pose and deformation of the fixed region did not converge")
 
 
-def _most_likely(normal: Array, by_data: Array, basis: DeformationBasis, strain: float) -> tuple[Array, Array, Array, float]:
-    """Solution and covariance of the linear problem at the strain that makes it most likely; the prior's weight too."""
+def _most_likely(
+    normal: Array, by_data: Array, basis: DeformationBasis, strains: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Solution and covariance of the linear problem at the strains that make it most likely; the prior's weight too."""
     prior = np.zeros_like(normal)
-    for _ in range(ENERGY_ITERATIONS):
-        prior[6:, 6:] = basis.energy / strain**2
+    for _ in range(STRAIN_ITERATIONS):
+        prior[POSE:, POSE:] = np.tensordot(strains**-2, basis.energies, 1)
         covariance = np.linalg.inv(normal + prior)
         solution = covariance @ by_data
-        c = solution[6:]
-        energy = c @ basis.energy @ c + np.sum(basis.energy * covariance[6:, 6:])
-        strain = max(float(np.sqrt(energy / basis.penalised)), LEAST_STRAIN)
-    return solution, covariance, prior, strain
+        c = solution[POSE:]
+        unknown = np.einsum("dpq,pq->d", basis.energies, covariance[POSE:, POSE:]) / strains**2
+        before, energy = strains, np.einsum("p,dpq,q->d", c, basis.energies, c)
+        known = np.maximum(basis.counts - unknown, 1e-6)
+        pooled = energy.sum() / known.sum()
+        trust = POOLED * basis.counts
+        strains = np.maximum(np.sqrt((energy + trust * pooled) / (known + trust)), LEAST_STRAIN)
+        if np.all(np.abs(strains - before) < 1e-3 * before):
+            break
+    return solution, covariance, prior, strains
