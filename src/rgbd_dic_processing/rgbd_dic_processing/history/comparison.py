@@ -1,0 +1,52 @@
+"""One history beside its reference: delay and difference by both interpolations, and the two spectra."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .alignment import Alignment, Difference, align, difference
+from .interpolation import INTERPOLATIONS
+from .record import History
+from .settings import AlignmentSettings
+from .spectrum import Spectrum, spectrum
+
+
+@dataclass(frozen=True)
+class HistoryComparison:
+    """alignments, sliding: by the name of the interpolation; the sliding is that of the delay found for the opening, and
+    NaN where one of the two has none. ours, reference: spectra [m] of the openings over the time that both cover."""
+
+    alignments: dict[str, Alignment]
+    sliding: dict[str, Difference]
+    ours: Spectrum
+    reference: Spectrum
+
+
+def compare_histories(
+    ours: History, reference: History, settings: AlignmentSettings | None = None
+) -> HistoryComparison:
+    """Compare two histories of one crack.
+
+    Raises:
+        RgbdDicError: as `align` and `spectrum`.
+    """
+    alignments = {name: align(ours, reference, name, settings) for name in INTERPOLATIONS}
+    delay = alignments["spline"].delay_s
+    first = max(ours.time_s[0], reference.time_s[0] - delay)
+    last = min(ours.time_s[-1], reference.time_s[-1] - delay)
+    mine, other = ours.between(first, last), reference.between(first + delay, last + delay)
+    return HistoryComparison(
+        alignments,
+        {name: _sliding(ours, reference, name, alignment.delay_s) for name, alignment in alignments.items()},
+        spectrum(mine.time_s, mine.opening_m),
+        spectrum(other.time_s, other.opening_m),
+    )
+
+
+def _sliding(ours: History, reference: History, interpolation: str, delay_s: float) -> Difference:
+    if not np.isfinite(reference.sliding_m).any():
+        return difference(np.zeros(0), np.zeros(0))
+    curve = INTERPOLATIONS[interpolation](ours.time_s, ours.sliding_m)
+    return difference(curve(reference.time_s - delay_s), reference.sliding_m)
