@@ -137,7 +137,7 @@ def correlate(ours: Array, reference: Array) -> float:
     both = np.isfinite(ours) & np.isfinite(reference)
     a, b = (values[both] - values[both].mean() if both.any() else values[both] for values in (ours, reference))
     norm = math.sqrt(np.sum(a**2) * np.sum(b**2))
-    return float(np.sum(a * b) / norm) if norm > 0 else math.nan
+    return float(np.clip(np.sum(a * b) / norm, -1.0, 1.0)) if norm > 0 else math.nan
 
 
 def difference(ours: Array, reference: Array) -> Difference:

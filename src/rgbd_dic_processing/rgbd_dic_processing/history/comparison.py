@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from rgbd_dic_acquisition.errors import RgbdDicError
 
+from ..core.crack import CrackOpening
 from .alignment import Alignment, Difference, align, difference
 from .interpolation import INTERPOLATIONS
-from .record import History
+from .record import History, history_of
 from .settings import AlignmentSettings
 from .spectrum import Spectrum, spectrum
 
@@ -43,6 +46,35 @@ def compare_histories(
         spectrum(mine.time_s, mine.opening_m),
         spectrum(other.time_s, other.opening_m),
     )
+
+
+@dataclass(frozen=True)
+class MethodComparison:
+    """One method of a run beside the reference; `comparison` is None where `reason` says why there is none."""
+
+    method: str
+    comparison: HistoryComparison | None
+    reason: str
+
+
+def compare_run(
+    openings: Sequence[CrackOpening], reference: History, start_ns: int, settings: AlignmentSettings | None = None
+) -> list[MethodComparison]:
+    """Each method of a run beside the reference, its time counted from `start_ns`.
+
+    Raises:
+        RgbdDicError: if no method can be compared.
+    """
+    found = []
+    for method in dict.fromkeys(opening.method for opening in openings):
+        try:
+            comparison = compare_histories(history_of(openings, method, start_ns), reference, settings)
+            found.append(MethodComparison(method, comparison, ""))
+        except RgbdDicError as error:
+            found.append(MethodComparison(method, None, str(error)))
+    if all(one.comparison is None for one in found):
+        raise RgbdDicError("; ".join(f"{one.method}: {one.reason}" for one in found) or "the run has no crack opening")
+    return found
 
 
 def _sliding(ours: History, reference: History, interpolation: str, delay_s: float) -> Difference:
