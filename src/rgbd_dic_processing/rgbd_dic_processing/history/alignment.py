@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 MIN_COMMON = 10  # samples of the reference within our history
 CONSTANT_M = 2e-9  # a history that varies less, as a standard deviation, is constant to the digits of the CSV
 SIGNIFICANT = 4.0  # standard deviations of Fisher's atanh(r), above which two histories are taken as related
-SIMILAR = 0.01  # a shift whose correlation is lower by less than this explains the histories nearly as well
+SIMILAR = 0.02  # a shift whose correlation is lower by less than this explains the histories nearly as well
 REFITS = 5
 
 
@@ -194,9 +194,9 @@ def _check_peak(r: Array, common: Array, best: int, shifts: Array) -> None:
 
 
 def _similar(shifts: Array, r: Array, best: int, apart_s: float) -> tuple[float, ...]:
-    """Other local maxima that are nearly as high, the highest first."""
-    filled = np.where(np.isfinite(r), r, -np.inf)
-    peaks = 1 + np.flatnonzero((filled[1:-1] >= filled[:-2]) & (filled[1:-1] > filled[2:]))
+    """Other local maxima that are nearly as high, the highest first; the border counts, as a peak may lie beyond."""
+    filled = np.concatenate([[-np.inf], np.where(np.isfinite(r), r, -np.inf), [-np.inf]])
+    peaks = np.flatnonzero((filled[1:-1] >= filled[:-2]) & (filled[1:-1] > filled[2:]))
     near = [i for i in peaks if abs(shifts[i] - shifts[best]) > apart_s and r[i] > r[best] - SIMILAR]
     return tuple(float(shifts[i]) for i in sorted(near, key=lambda i: -r[i]))
 
@@ -205,7 +205,7 @@ def _no_overlap(ours: History, at: Array, settings: AlignmentSettings, most: int
     valid = ours.time_s[np.isfinite(ours.opening_m)]
     middle = (at[0] + at[-1] - valid[0] - valid[-1]) / 2
     return (
-        f"the reference, {at[0]:.2f} to {at[-1]:.2f} s, and our valid frames, {valid[0]:.2f} to {valid[-1]:.2f} s, have "
-        f"at most {most} samples in common at shifts of {settings.lowest_s:g} to {settings.highest_s:g} s, at least "
-        f"{MIN_COMMON} are needed: choose shifts that bring them together, such as near {middle:.1f} s"
+        f"the reference, {at[0]:.2f} to {at[-1]:.2f} s, and our valid frames, {valid[0]:.2f} to {valid[-1]:.2f} s, "
+        f"have at most {most} samples in common at shifts of {settings.lowest_s:g} to {settings.highest_s:g} s, "
+        f"at least {MIN_COMMON} are needed: choose shifts that bring them together, such as near {middle:.1f} s"
     )

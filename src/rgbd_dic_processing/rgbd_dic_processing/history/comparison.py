@@ -18,8 +18,11 @@ from .spectrum import Spectrum, spectrum
 
 @dataclass(frozen=True)
 class HistoryComparison:
-    """alignments, sliding: by the name of the interpolation; the sliding is that of the delay found for the opening, and
-    NaN where one of the two has none. ours, reference: spectra [m] of the openings over the time that both cover."""
+    """Two histories of one crack.
+
+    alignments, sliding: by the name of the interpolation; the sliding is compared at the delay found for the opening,
+    and NaN where the reference has none. ours, reference: spectra [m] of the openings over the time that both cover.
+    """
 
     alignments: dict[str, Alignment]
     sliding: dict[str, Difference]

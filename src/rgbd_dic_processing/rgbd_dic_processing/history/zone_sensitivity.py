@@ -1,4 +1,4 @@
-"""What a misplaced measuring zone does to the opening, for both ways of giving zones (thesis 4.4.2, Figures 4.18, 4.19).
+"""What a misplaced measuring zone does to the opening, for both ways of giving zones (thesis 4.4.2, Figure 4.18).
 
 Two rectangles are drawn one by one, so one may be off while the other is right: the opening changes by the gradient of
 the displacement in that zone. Two zones from a point on the crack move together: of the two gradients only their

@@ -53,7 +53,7 @@ def write_report(
     if reference is not None:
         start_ns = start_of(run.openings)
         other = read_reference(reference, start_ns)
-        compared = compare_run(run.openings, other, start_ns, alignment)
+        compared = compare_run([o for one in methods for o in one.openings], other, start_ns, alignment)
     try:
         if compared:
             write_comparison(compared, folder / COMPARISON_NAME)
@@ -73,7 +73,7 @@ def write_report(
             methods,
             pictures,
             has_truth=known is not None,
-            compared=compared,
+            beside=compared,
             misplaced=misplaced,
             unplaced=unplaced,
         )

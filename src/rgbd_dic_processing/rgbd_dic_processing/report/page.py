@@ -34,7 +34,8 @@ def write(
     """Write the page and return its path.
 
     Args:
-        beside: the methods beside a reference. misplaced: the zones' sensitivity by method; unplaced: why it is unknown.
+        beside: the methods beside a reference.
+        misplaced, unplaced: the zones' sensitivity by method, or why it is not known.
     """
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent),

@@ -1,4 +1,4 @@
-"""alignment.png, correlation.png, spectra.png: the histories of a run beside a reference (thesis Figures 4.20 to 4.27)."""
+"""alignment.png, correlation.png, spectra.png: a run's histories beside a reference (thesis Figures 4.20 to 4.27)."""
 
 from __future__ import annotations
 
@@ -108,7 +108,8 @@ def _draw_spectra(found: dict[str, HistoryComparison], path: Path) -> Picture:
     axes = figure.subplots()
     highest = 0.0
     first = next(iter(found.values())).reference
-    axes.plot(first.frequency_hz, first.amplitude * 1e3, label="reference", **TRUTH_LINE)
+    label = f"reference, {first.dominating_hz:.3f} Hz, {first.dominating * 1e3:.4f} mm"
+    axes.plot(first.frequency_hz, first.amplitude * 1e3, label=label, **TRUTH_LINE)
     for method, comparison in found.items():
         ours, line = comparison.ours, line_of(method)
         label = f"{method}, {ours.dominating_hz:.3f} Hz, {ours.dominating * 1e3:.4f} mm"

@@ -1,4 +1,4 @@
-"""zone_sensitivity.png: the displacement in the measuring zones, and the opening if they are misplaced (thesis 4.4.2)."""
+"""zone_sensitivity.png: the displacement in the measuring zones, and the opening if they are off (thesis 4.4.2)."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
+from numpy.typing import NDArray
 from rgbd_dic_acquisition.errors import RgbdDicError
 
 from ..core.displacement_field import DisplacementField
@@ -14,6 +15,9 @@ from ..core.regions import CrackZones, Regions
 from ..history.zone_sensitivity import ACROSS, ALONG, BOTH, LEFT, RIGHT, Misplacement, zone_sensitivity
 from ..runs import Run
 from .drawing import BLACK, BLUE, ORANGE, VERMILION, Picture, method_order, new_figure, save
+from .map_background import Background
+
+Array = NDArray[np.float64]
 
 NAME = "zone_sensitivity.png"
 LINES = {
@@ -45,10 +49,11 @@ def draw(run: Run, regions: Regions | None, found: Mapping[str, Sequence[Misplac
     figure = new_figure(9.0, 6.2)
     panels = figure.subplots(2, 2, gridspec_kw={"height_ratios": (1.25, 1)})
     field = _widest(run, method)
+    background = Background.of(run.reference, regions, field)
     for axes, polygon, name in zip(
         panels[0], (regions.crack.left, regions.crack.right), ("left", "right"), strict=True
     ):
-        _draw_zone(axes, field, regions.crack, polygon, name)
+        _draw_zone(axes, field, background, regions.crack, polygon, name)
     low, high = np.inf, -np.inf
     for axes, axis, words in zip(panels[1], (ACROSS, ALONG), ("across the crack", "along the crack"), strict=True):
         for one in found[method]:
@@ -66,9 +71,9 @@ def draw(run: Run, regions: Regions | None, found: Mapping[str, Sequence[Misplac
     figure.legend(handles, labels, loc="outside lower center", ncols=3)
     figure.suptitle(f"{method} at the widest opening", fontsize=10)
     caption = (
-        "Above, the x displacement in each measuring zone (outlined) at the widest opening, each with colours of its own. "
+        "Above, the x displacement in each measuring zone (outlined) at the widest opening, with colours of its own. "
         "Below, the opening if the zones were elsewhere: one of two independent rectangles moved, or both together, as "
-        "zones from a point on the crack do."
+        "zones from a point on the crack do. A zone within half a subset of the crack takes in what the crack cuts."
     )
     return [save(figure, folder / NAME, caption, "Displacement inside the zones, and opening over their misplacement.")]
 
@@ -78,18 +83,20 @@ def _widest(run: Run, method: str) -> DisplacementField:
     return labelled.get("widest", next(iter(labelled.values())))
 
 
-def _draw_zone(axes: Axes, field: DisplacementField, zones: CrackZones, polygon: np.ndarray, name: str) -> None:
+def _draw_zone(
+    axes: Axes, field: DisplacementField, background: Background, zones: CrackZones, polygon: Array, name: str
+) -> None:
     low, high = polygon.min(axis=0), polygon.max(axis=0)
     margin = 0.4 * (high - low).max()
     centres = field.centres_px.astype(float)
     near = ((centres >= low - margin) & (centres <= high + margin)).all(axis=1)
     near &= zones.beyond(centres) == (name == "right")
-    shown = centres[near]
-    values = field.displacement_m[near, 0] * 1e3
-    known = values[np.isfinite(values)]
-    limits = np.percentile(known, (1, 99)) if len(known) else (0, 1)
-    dots = axes.scatter(*shown.T, c=values, s=28, marker="s", cmap="viridis", vmin=limits[0], vmax=limits[1])
-    axes.figure.colorbar(dots, ax=axes, shrink=0.9, pad=0.02).set_label("x displacement [mm]")
+    values = np.where(near, field.displacement_m[:, 0] * 1e3, np.nan)
+    limits = np.nanpercentile(values, (1, 99))
+    cells = axes.imshow(
+        background.on_grid(values), extent=background.grid_extent, cmap="viridis", vmin=limits[0], vmax=limits[1]
+    )
+    axes.figure.colorbar(cells, ax=axes, shrink=0.9, pad=0.02).set_label("x displacement [mm]")
     axes.plot(*np.vstack([polygon, polygon[:1]]).T, color=VERMILION, linewidth=1.4)
     axes.set_aspect("equal")
     axes.set_xlim(low[0] - margin, high[0] + margin)
