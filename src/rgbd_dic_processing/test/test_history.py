@@ -253,7 +253,7 @@ GRADIENTS = {"left": np.array([3e-6, -2e-6]), "right": np.array([-1e-6, 5e-6])} 
 
 
 def linear_field(torn=()):
-    """x displacement linear in the pixels of each half, 2 mm/px, the panel turned by 0.1 rad; an upright crack at 200."""
+    """Displacement across an upright crack at x = 200 px, linear in each half; 2 mm/px, the panel turned by 0.1 rad."""
     centres = np.stack(np.meshgrid(np.arange(20, 381, 8), np.arange(20, 301, 8)), axis=-1).reshape(-1, 2)
     moved = np.where(centres[:, 0] < 200, centres @ GRADIENTS["left"], 1e-3 + centres @ GRADIENTS["right"])
     along = np.array([np.sin(0.1), np.cos(0.1)])
@@ -287,7 +287,7 @@ def test_sensitivity_of_a_linear_field_is_its_gradient(torn):
 
 
 def test_zone_at_the_edge_has_no_sensitivity():
-    narrow = CrackZones.from_point(np.array([200.0, 296.0]), np.array([0.0, 1.0]), 60, 16, 30)
+    narrow = CrackZones.from_point(np.array([200.0, 300.0]), np.array([0.0, 1.0]), 60, 6, 30)
     with pytest.raises(RgbdDicError, match="too small or too near the edge"):
         zone_sensitivity(linear_field(), narrow)
     empty = CrackZones.from_point(np.array([500.0, 150.0]), np.array([0.0, 1.0]), 20, 20, 30)

@@ -31,7 +31,7 @@ def of_run(run: Run, regions: Regions | None) -> tuple[dict[str, list[Misplaceme
     """Method -> its sensitivities at the widest opening; and method -> why there are none."""
     found: dict[str, list[Misplacement]] = {}
     reasons: dict[str, str] = {}
-    if regions is None or regions.crack is None:
+    if regions is None or regions.crack is None or not run.openings:
         return found, reasons
     for method in method_order(run.maps):
         try:
