@@ -40,7 +40,11 @@ def files(folder: Path, *, without: str = "") -> list[Path]:
     return found
 
 
-@pytest.mark.parametrize("path", files(PROCESSING / "core") + files(ACQUISITION, without="nodes"), ids=lambda p: p.stem)
+@pytest.mark.parametrize(
+    "path",
+    files(PROCESSING / "core") + files(PROCESSING / "history") + files(ACQUISITION, without="nodes"),
+    ids=lambda p: p.stem,
+)
 def test_no_ros_in_numerical_code(path: Path) -> None:
     assert not imported(path) & ROS
 

@@ -15,6 +15,7 @@ import settings_tables
 from blocks import replace_block, table
 from pictures import small_copy
 from rgbd_dic_processing.calibrating.settings import CalibratingSettings
+from rgbd_dic_processing.history.settings import AlignmentSettings
 from rgbd_dic_processing.results import HEADER
 
 ROOT = Path(__file__).parents[2]
@@ -89,6 +90,7 @@ FROM_CODE: dict[str, dict[str, Callable[[], str | None]]] = {
     },
     "docs/files.md": {"csv": csv_table},
     "docs/calibration.md": {"calibrating": lambda: settings_tables.sections({"calibrating": CalibratingSettings})},
+    "docs/history.md": {"alignment": lambda: settings_tables.sections({"alignment": AlignmentSettings})},
     "docs/laboratory.md": {"laboratory": lambda: settings_tables.sections(settings_tables.LABORATORY)},
 }
 FROM_RUN: dict[str, dict[str, Callable[[], str | None]]] = {

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 import pytest
 from rgbd_dic_acquisition.errors import RgbdDicError
+from rgbd_dic_processing.cli import main
 from rgbd_dic_processing.core.crack import CrackOpening
 from rgbd_dic_processing.core.displacement_field import DisplacementField
 from rgbd_dic_processing.core.regions import load_regions
@@ -187,13 +188,56 @@ def test_page_needs_and_tells_nothing_from_outside(usual):
 def test_figures_are_drawn_and_embedded(usual):
     folder, text = usual
     embedded = [base64.b64decode(data) for data in re.findall(r"base64,([^\"]*)", text)]
-    names = ["history", "quality", "maps_h_pose_widest", "maps_h_3d_widest", "maps_h_3d_last"]
+    names = ["history", "quality", "maps_h_pose_widest", "maps_h_3d_widest", "maps_h_3d_last", "zone_sensitivity"]
     assert embedded == [(folder / f"{name}.png").read_bytes() for name in names]
     assert not (folder / "maps_h_pose_last.png").exists()  # the widest frame of h_pose is its last
     for name in names:
         pixels = cv2.imread(str(folder / f"{name}.png"))
         coloured = np.ptp(pixels.astype(int), axis=2) > 60
         assert coloured.mean() > 0.002, name
+
+
+def test_reference_of_another_clock_is_shown_beside_the_run(tmp_path):
+    """Of three methods one has too few frames; numbers of the page are those of history_comparison.csv."""
+    cycle = [0.3e-3 * math.sin(2 * math.pi * 0.5 * k / 20) for k in range(120)]
+    run = usual_run()
+    openings = [opening(k, method, opening_m=cycle[k]) for method in ("h_pose", "h_2d") for k in range(120)]
+    openings += [failed(k, "h_3d", FrameStatus.LOST, "lost") for k in range(120)]
+    folder = saved(replace(run, openings=openings), tmp_path / "run", truth=False)
+    rows = [f"{k / 5 + 0.31:.3f},{0.3 * math.sin(2 * math.pi * 0.5 * k / 5) + 0.1:.6f},0.1\n" for k in range(28)]
+    (tmp_path / "dic.csv").write_text("time_s,opening_mm,sliding_mm\n" + "".join(rows))
+    assert main(["report", str(folder), "--reference", str(tmp_path / "dic.csv"), "--shifts", "-0.5", "0.8"]) == 0
+    text = (folder / "report.html").read_text(encoding="utf-8")
+    with (folder / "history_comparison.csv").open() as file:
+        written = list(csv.DictReader(file))
+    header, *lines = Tables(text).tables["reference"]
+    assert [line[0] for line in lines] == ["h_pose", "h_pose", "h_2d", "h_2d"]
+    for line, row in zip(lines, [row for row in written if not row["reason"]], strict=True):
+        shown = dict(zip(header, line, strict=True))
+        assert float(shown["delay [s]"]) == pytest.approx(float(row["delay_s"]), abs=5.1e-5)
+        assert float(shown["RMS [mm]"]) == pytest.approx(float(row["rms_mm"]), abs=5.1e-5)
+        assert float(row["delay_s"]) == pytest.approx(0.31, abs=2e-3)
+        assert float(row["offset_mm"]) == pytest.approx(-0.1, abs=2e-3)
+        assert float(row["sliding_rms_mm"]) == pytest.approx(0.0, abs=1e-6)
+    frequencies = [float(cell) for cell in Tables(text).tables["spectra"][1][1:4:2]]
+    assert frequencies == pytest.approx([0.5, 0.5], abs=1e-3)
+    assert "h_3d could not be compared: 0 valid values" in text
+    for name in ("alignment", "correlation", "spectra", "zone_sensitivity"):
+        assert base64.b64encode((folder / f"{name}.png").read_bytes()).decode() in text
+    zones = Tables(text).tables["zones"]
+    assert [row[:2] for row in zones[1:4]] == [
+        ["h_pose", "left rectangle"], ["h_pose", "right rectangle"], ["h_pose", "both, by the point"]
+    ]  # fmt: skip
+    # both halves are shifted as a whole: only noise of 0.001 mm a subset is left
+    assert all(abs(float(value)) < 1e-3 for row in zones[1:] for value in row[2:])
+
+
+def test_reference_that_fits_no_method_is_refused(tmp_path, capsys):
+    folder = saved(usual_run(), tmp_path / "run")
+    (tmp_path / "late.csv").write_text("time_s,opening_mm\n" + "".join(f"{900 + k},{k % 3}\n" for k in range(12)))
+    assert main(["report", str(folder), "--reference", str(tmp_path / "late.csv")]) == 1
+    assert "h_pose: the reference, 900.00 to 911.00 s" in capsys.readouterr().err
+    assert not (folder / "history_comparison.csv").exists()
 
 
 def only_failures(run):

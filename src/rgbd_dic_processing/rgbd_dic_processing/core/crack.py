@@ -74,7 +74,7 @@ class CrackMeasurement:
             return _invalid(field, field.status, field.reason)
         layout = self._zone_layout(field)
         found = np.isfinite(field.displacement_m[:, :2]).all(axis=1)
-        left, right = (_steady(field, zone[found[zone]]) for zone in (layout.left, layout.right))
+        left, right = (steady(field, zone[found[zone]]) for zone in (layout.left, layout.right))
         for name, zone in (("left", left), ("right", right)):
             if len(zone) < self._settings.min_subsets:
                 return _invalid(
@@ -174,7 +174,7 @@ class _ZoneLayout:
         return np.array([[along[1], -along[0]], [along[0], along[1]]])
 
 
-def _steady(field: DisplacementField, zone: NDArray[np.intp]) -> NDArray[np.intp]:
+def steady(field: DisplacementField, zone: NDArray[np.intp]) -> NDArray[np.intp]:
     """The subsets of a zone without those that were found in a wrong place, far from all others.
 
     The scale is the median distance from the median, or what the DIC states, if that is more: a deforming zone keeps

@@ -11,6 +11,8 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from ..core.settings import ProcessingSettings
+from ..history.comparison import MethodComparison
+from ..history.zone_sensitivity import Misplacement
 from ..runs import Run
 from .drawing import Picture
 from .series import Series
@@ -19,8 +21,22 @@ from .summary import failures, summarise
 TEMPLATE = "page.html.j2"
 
 
-def write(path: Path, run: Run, methods: Sequence[Series], pictures: Sequence[Picture], has_truth: bool) -> Path:
-    """Write the page and return its path."""
+def write(
+    path: Path,
+    run: Run,
+    methods: Sequence[Series],
+    pictures: Sequence[Picture],
+    has_truth: bool,
+    beside: Sequence[MethodComparison] = (),
+    misplaced: Mapping[str, Sequence[Misplacement]] | None = None,
+    unplaced: Mapping[str, str] | None = None,
+) -> Path:
+    """Write the page and return its path.
+
+    Args:
+        beside: the methods beside a reference.
+        misplaced, unplaced: the zones' sensitivity by method, or why it is not known.
+    """
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent),
         autoescape=True,
@@ -42,6 +58,9 @@ def write(path: Path, run: Run, methods: Sequence[Series], pictures: Sequence[Pi
         has_truth=has_truth,
         summary=lines,
         failures=failures(methods),
+        beside=beside,
+        misplaced={method: _slopes(found) for method, found in (misplaced or {}).items()},
+        unplaced=unplaced or {},
         pictures=[
             {
                 "alt": picture.alt,
@@ -64,6 +83,14 @@ def _extent(methods: Sequence[Series]) -> dict[str, Any]:
         "first_s": f"{ordered[0] // 10**9}.{ordered[0] % 10**9:09d}" if ordered else "",
         "duration_s": (ordered[-1] - ordered[0]) * 1e-9 if ordered else 0.0,
     }
+
+
+def _slopes(found: Sequence[Misplacement]) -> dict[str, dict[str, float]]:
+    """What is moved -> axis -> change of the opening [mm/px]."""
+    slopes: dict[str, dict[str, float]] = {}
+    for one in found:
+        slopes.setdefault(one.moved, {})[one.axis] = one.slope * 1e3
+    return slopes
 
 
 def _explained(settings: Mapping[str, Any]) -> dict[str, list[dict[str, Any]]]:
