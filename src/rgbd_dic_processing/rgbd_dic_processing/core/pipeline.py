@@ -47,7 +47,7 @@ class Pipeline:
         camera = calibration.camera
         self.tracking = SubsetTracking(camera, regions, settings.correlation, settings.search, settings.renewal)
         self.pairing = FramePairing(settings.pairing)
-        self.planes = PanelPlane(calibration, regions, settings.plane)
+        self.planes = PanelPlane(calibration, regions, settings.plane, settings.pairing.tof_delay_ns)
         self.displacement = {
             method: DisplacementMeasurement(camera, regions, replace(settings.compensation, method=method))
             for method in methods
