@@ -91,26 +91,27 @@ class ReferenceFrame:
             The reference plane, the plane in this image, and the pose along which it was carried, for a method that
             asks for it by `plane_in_time`; None if no plane could be carried.
         """
-        if plane is not None:
-            self._carried.add(frame.plane.stamp_ns, plane)
-            self._delay.add(frame.plane.stamp_ns, plane)
-        if self._planes.mean is None:
+        known = self._planes.mean
+        if known is None:
             return None
+        start = pose_from_homography(self.camera, self.homography(frame.field), known)
         points = self.ideal_px[fixed], moved_px, sigma_px
-        start = pose_from_homography(self.camera, self.homography(frame.field), self._planes.mean)
         try:
             pose, jacobian, weights, misfit_px = fit_pose(
-                self.camera, *points, self._planes.mean, start, self.settings.robust_sigmas
+                self.camera, *points, known, start, self.settings.robust_sigmas
             )
+            self._motion.add(frame.field.stamp_ns, pose)
+            if plane is not None:
+                self._carried.add(frame.plane.stamp_ns, plane)
+                self._delay.add(frame.plane.stamp_ns, plane)
+            if self.settings.plane_in_time != "carried" or self.settings.method not in NEEDS_PLANE_OF_FRAME:
+                return None
+            sigma = np.zeros((len(self.ideal_px), 2))
+            sigma[fixed] = np.hypot(sigma_px, misfit_px)
+            modes, _ = linear_modes(sensitivity(jacobian, weights), sigma, self.correlation(frame.field), fixed)
+            seen = self._carried.at_image(frame.field.stamp_ns, self._motion, pose, modes.T @ modes)
         except (MeasurementError, np.linalg.LinAlgError):
             return None
-        self._motion.add(frame.field.stamp_ns, pose)
-        if self.settings.plane_in_time != "carried" or self.settings.method not in NEEDS_PLANE_OF_FRAME:
-            return None
-        sigma = np.zeros((len(self.ideal_px), 2))
-        sigma[fixed] = np.hypot(sigma_px, misfit_px)
-        modes, _ = linear_modes(sensitivity(jacobian, weights), sigma, self.correlation(frame.field), fixed)
-        seen = self._carried.at_image(frame.field.stamp_ns, self._motion, pose, modes.T @ modes)
         return (self._carried.reference, seen, pose) if seen is not None else None
 
     def sensor_delay(self) -> SensorDelay:

@@ -16,9 +16,13 @@ Array = NDArray[np.float64]
 
 REMEMBERED = 600  # ToF planes: half a minute at 20 Hz
 SEARCHED_S, STEP_S = 0.2, 0.005  # delays that are tried: up to this, either way, at these steps
+AROUND = 4  # steps on either side of the best one that the parabola is fitted to
 LEAST_PLANES = 20
 OUTLIER = 4.0  # distance from the mean, in units of what the planes scatter, beyond which one is left out
-NEGLIGIBLE_S = 0.005  # a delay up to this is not warned about, and one known no better is not told
+NEGLIGIBLE_S = 0.005  # a delay up to this is not warned about
+LARGEST_U_S = 0.0025  # one that is known no better is not told
+RIVAL = 4.0  # standard uncertainties within which all delays lie that fit nearly as well; else none is told
+TOLD_AS = "delay of the ToF stamps [ms]"
 SURE = 3.0  # standard uncertainties that a delay must be away from zero for a warning
 
 
@@ -48,7 +52,9 @@ class SensorDelay:
 
     def __str__(self) -> str:
         """For people, in milliseconds."""
-        return self.reason or f"{self.delay_s * 1e3:.1f} +- {self.u_s * 1e3:.1f} ms"
+        if self.reason:
+            return f"unknown: {self.reason}"
+        return f"{self.delay_s * 1e3 + 0.0:.1f}, standard uncertainty {self.u_s * 1e3:.1f}"
 
 
 class DelayEstimate:
@@ -71,13 +77,17 @@ class DelayEstimate:
 
     def estimate(self, motion: PanelMotion) -> SensorDelay:
         """The delay as far as it is known now."""
-        tried = np.arange(-round(SEARCHED_S / STEP_S), round(SEARCHED_S / STEP_S) + 1) * STEP_S
-        stamps = np.array(self._stamps, np.int64)
-        pi, weights = (np.array(values) for values in zip(*self._planes, strict=True)) if self._planes else ((), ())
-        carried = np.array([carried_back(pi, *motion.at(stamps - d)) for d in np.rint(tried * 1e9).astype(np.int64)])
+        if len(self._stamps) < LEAST_PLANES:
+            return SensorDelay(reason=f"{len(self._stamps)} ToF planes, at least {LEAST_PLANES} needed")
+        steps = round(SEARCHED_S / STEP_S)
+        tried = np.arange(-steps, steps + 1) * STEP_S
+        times_ns = np.array(self._stamps) - np.rint(tried * 1e9).astype(np.int64)[:, None]
+        pi, weights = (np.array(values) for values in zip(*self._planes, strict=True))
+        R, t = motion.at(times_ns.ravel())
+        carried = carried_back(np.tile(pi, (len(tried), 1)), R, t).reshape(len(tried), -1, 3)
         usable = np.isfinite(carried).all(axis=(0, 2))
         if usable.sum() < LEAST_PLANES:
-            return SensorDelay(reason=f"{usable.sum()} ToF planes with images around them, {LEAST_PLANES} needed")
+            return SensorDelay(reason=f"{usable.sum()} ToF planes amid images, at least {LEAST_PLANES} needed")
         carried, weights = carried[:, usable], weights[usable]
         squared = _scatter(carried, weights)
         best = np.argmin(squared.sum(axis=1))
@@ -85,14 +95,17 @@ class DelayEstimate:
         squared = _scatter(carried[:, kept], weights[kept])
         total, count = squared.sum(axis=1), int(kept.sum())
         best = int(np.argmin(total))
-        if best in (0, len(tried) - 1):
-            return SensorDelay(planes=count, reason=f"no delay up to {SEARCHED_S:g} s fits best")
-        before, least, after = total[best - 1 : best + 2]
-        curvature = (before - 2 * least + after) / STEP_S**2
-        u_s = math.sqrt(2 / curvature * max(1.0, least / (3 * count - 4)))
-        if u_s > NEGLIGIBLE_S:
-            return SensorDelay(planes=count, reason=f"the camera moved too little ({u_s * 1e3:.0f} ms uncertain)")
-        return SensorDelay(tried[best] + (before - after) / (2 * curvature * STEP_S), u_s, count)
+        around = slice(best - AROUND, best + AROUND + 1)
+        if not AROUND <= best < len(tried) - AROUND:
+            reason = f"no delay up to {SEARCHED_S:g} s fits: the camera moved too little, or it is longer"
+            return SensorDelay(planes=count, reason=reason)
+        curved, sloped, _ = np.polyfit(tried[around], total[around], 2)
+        noise = max(1.0, total[best] / (3 * count - 4))
+        delay_s, u_s = float(-sloped / (2 * curved)), math.sqrt(noise / max(curved, 1e-9))
+        rivals = tried[total <= total[best] + RIVAL**2 * noise]
+        if u_s > LARGEST_U_S or np.abs(rivals - delay_s).max() > RIVAL * u_s + STEP_S:
+            return SensorDelay(planes=count, reason="the camera moved too little, or too regularly, to tell")
+        return SensorDelay(delay_s, u_s, count)
 
 
 def _scatter(carried: Array, weights: Array) -> Array:
