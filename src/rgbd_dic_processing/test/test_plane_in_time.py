@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from rgbd_dic_acquisition.simulator.laboratory_motion import HAND
 from rgbd_dic_acquisition.simulator.motion import HandheldMotion
 from rgbd_dic_processing.core.crack import CrackMeasurement, CrackOpening
@@ -128,7 +127,7 @@ def errors(openings: list[CrackOpening], truth: dict[int, float]) -> tuple[np.nd
 
 
 def test_carried_planes_take_the_noise_of_h_3d_down_to_that_of_h_pose() -> None:
-    """Frame-to-frame noise and RMS error: several times those of h_pose with the nearest plane, within 10 % of them with
+    """Frame-to-frame noise and RMS error: several times those of h_pose with the nearest plane, at most 10 % more with
     carried ones. And what is stated is the error: 90 frames tell it to 8 %, so a quarter is three of that."""
     settings = [CompensationSettings(method="h_pose")]
     for method in ("h_3d", "pc_3d"):

@@ -57,7 +57,7 @@ def found(
 @pytest.mark.parametrize("delay_s", [0.0, 0.012, 0.04, -0.04])
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_delay_is_found(delay_s: float, seed: int) -> None:
-    """Within 5 ms, as promised, and three stated standard uncertainties; a hand's motion over 5 s tells it to 0.2 ms."""
+    """Within 5 ms, as promised, and three stated standard uncertainties; 5 s of a hand's motion tell it to 0.2 ms."""
     delay = found(delay_s, seed)
     assert abs(delay.delay_s - delay_s) < min(3 * delay.u_s, 0.005)
     assert delay.u_s < 5e-4 and delay.reason == ""
