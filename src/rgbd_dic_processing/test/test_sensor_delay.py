@@ -96,7 +96,8 @@ def test_too_few_planes() -> None:
 
 def test_what_a_user_is_told() -> None:
     late = SensorDelay(0.0402, 0.0003, 90)
-    assert "+40.2 ms late" in late.warning and "add 0.0402 to pairing.tof_delay_s" in late.warning
+    assert "40.2 ms too late" in late.warning and "add 0.0402 to pairing.tof_delay_s" in late.warning
+    assert "40.0 ms too early" in replace(late, delay_s=-0.04, u_s=0.001).warning
     assert str(late) == "40.2, standard uncertainty 0.3"
     assert SensorDelay(0.006, 0.0021, 90).warning == ""  # less than three standard uncertainties
     assert SensorDelay(-0.0049, 0.0001, 90).warning == ""  # negligible

@@ -22,8 +22,8 @@ OUTLIER = 4.0  # distance from the mean, in units of what the planes scatter, be
 NEGLIGIBLE_S = 0.005  # a delay up to this is not warned about
 LARGEST_U_S = 0.0025  # one that is known no better is not told
 RIVAL = 4.0  # standard uncertainties within which all delays lie that fit nearly as well; else none is told
-TOLD_AS = "delay of the ToF stamps [ms]"
 SURE = 3.0  # standard uncertainties that a delay must be away from zero for a warning
+TOLD_AS = "delay of the ToF stamps [ms]"
 
 
 @dataclass(frozen=True)
@@ -44,8 +44,9 @@ class SensorDelay:
         """What a user should know; empty if the delay is negligible or not known."""
         if not abs(self.delay_s) > max(NEGLIGIBLE_S, SURE * self.u_s):
             return ""
+        late = "late" if self.delay_s > 0 else "early"
         return (
-            f"the stamps of the ToF frames are {self.delay_s * 1e3:+.1f} ms late "
+            f"the stamps of the ToF frames are {abs(self.delay_s) * 1e3:.1f} ms too {late} "
             f"(standard uncertainty {self.u_s * 1e3:.1f} ms) against those of the images: correct the clocks, or add "
             f"{self.delay_s:.4f} to pairing.tof_delay_s"
         )

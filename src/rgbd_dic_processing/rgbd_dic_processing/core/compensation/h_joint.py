@@ -106,9 +106,7 @@ def fit_joint(view: FrameView, plane: Plane, settings: CompensationSettings) -> 
         jacobian = np.concatenate([pose_jacobian(focal, turned, moved), pixel_jacobian(focal, modes @ R.T, moved)])
         misfit_px = misfit_of(residual, sigma_px)
         variance = sigma_px**2 + misfit_px**2
-        huber = np.minimum(
-            1, settings.robust_sigmas / np.maximum(np.sqrt(np.sum(residual**2 / variance, axis=1)), 1e-12)
-        )
+        huber = np.minimum(1, settings.robust_sigmas / np.maximum(np.sqrt(np.sum(residual**2 / variance, axis=1)), 1e-12))
         weighted = jacobian * (huber[:, None] / variance / shared)
         flat, flat_weighted = jacobian.reshape(len(jacobian), -1), weighted.reshape(len(jacobian), -1)
         normal, by_data = flat_weighted @ flat.T, flat_weighted @ residual.ravel()
@@ -127,9 +125,7 @@ def fit_joint(view: FrameView, plane: Plane, settings: CompensationSettings) -> 
     return JointFit((R, t), c, strain, gain, confounded, residual, misfit_px)
 
 
-def _most_likely(
-    normal: Array, by_data: Array, basis: DeformationBasis, strain: float
-) -> tuple[Array, Array, Array, float]:
+def _most_likely(normal: Array, by_data: Array, basis: DeformationBasis, strain: float) -> tuple[Array, Array, Array, float]:
     """Solution and covariance of the linear problem at the strain that makes it most likely; the prior's weight too."""
     prior = np.zeros_like(normal)
     for _ in range(ENERGY_ITERATIONS):
