@@ -55,7 +55,7 @@ class SensorDelay:
         """For people, in milliseconds."""
         if self.reason:
             return f"unknown: {self.reason}"
-        return f"{self.delay_s * 1e3 + 0.0:.1f}, standard uncertainty {self.u_s * 1e3:.1f}"
+        return f"{round(self.delay_s * 1e3, 1) + 0.0:.1f}, standard uncertainty {self.u_s * 1e3:.1f}"
 
 
 class DelayEstimate:

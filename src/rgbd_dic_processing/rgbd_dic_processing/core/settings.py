@@ -143,7 +143,7 @@ class CompensationSettings(Settings):
         "carried to the image along the motion of the fixed region.",
     )
     plane_window_s: float = setting(
-        1.0, unit="s", low=0.0, high=60.0, doc="carried: ToF frames up to this long before the image are averaged."
+        1.0, unit="s", low=0.05, high=60.0, doc="carried: ToF frames up to this long before the image are averaged."
     )
     max_waiting: int = setting(
         64,
