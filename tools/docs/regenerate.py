@@ -47,7 +47,7 @@ COLUMNS = {
     "n_right": ("subsets", "used in the right zone", "never"),
     "depth_offset_s": (
         "s",
-        "stamp of the image minus that of its ToF frame",
+        "stamp of the image minus that of its ToF frame less `pairing.tof_delay_s`",
         "no ToF frame is near enough, or the image cannot be measured",
     ),
     "latency_s": ("s", "from the arrival of the image at `dic_node` to the publishing of its opening", "offline"),

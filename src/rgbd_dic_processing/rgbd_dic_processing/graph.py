@@ -108,7 +108,7 @@ def processing_nodes(
             "plane_node",
             ("tof/points" if use_points else "tof/depth/image_raw", "subset_field"),
             ("plane",),
-            parameters={"use_points": use_points, **calibration, **regions, **stage("plane")},
+            parameters={"use_points": use_points, **calibration, **regions, **stage("pairing", "plane")},
         ),
     ]
     for index, method in enumerate(methods):

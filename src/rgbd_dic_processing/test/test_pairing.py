@@ -42,6 +42,16 @@ def test_nearest_neighbour_for_any_delay_of_the_tof() -> None:
         assert pair_all(merged(IMAGES, DEPTHS, delay * MS)) == expected
 
 
+def test_a_known_delay_is_taken_off_the_stamps_of_the_tof() -> None:
+    pairing = FramePairing(PairingSettings(tof_delay_s=0.04))
+    pairs = [pair for image in IMAGES for pair in pairing.add_image(image)]
+    pairs += [pair for depth in DEPTHS for pair in pairing.add_depth(depth + 40 * MS)] + pairing.flush()
+    settled_without = {image for image in IMAGES if image + 130 * MS < IMAGES[-1]}  # before any ToF frame came
+    assert pairs == [
+        FramePair(stamp, None if stamp in settled_without else nearest(stamp, DEPTHS, 30 * MS)) for stamp in IMAGES
+    ]
+
+
 def test_no_pair_is_better_than_a_wrong_one() -> None:
     """A gap of 250 ms: images farther than 30 ms from a ToF frame have none, and do not wait for ever."""
     depths = [depth for depth in DEPTHS if not 300 * MS < depth < 540 * MS]

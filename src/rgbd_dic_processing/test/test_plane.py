@@ -131,6 +131,15 @@ def test_waits_for_the_view_nearest_in_time() -> None:
     assert late.status == FrameStatus.NO_PLANE and "in which the panel was found" in late.reason
 
 
+def test_a_known_delay_is_taken_off_the_stamp() -> None:
+    """Exposed at 110, stamped 150: the view at 117 is the nearest, and the plane is that of the moment 110."""
+    step = PanelPlane(Calibration(CAMERA, TOF), REGIONS, PlaneSettings(), tof_delay_ns=40)
+    step.add_view(117, np.eye(3))
+    step.add_view(150, None)
+    (estimate,) = step.add_depth(150, panel_depth(square_plane()))
+    assert estimate.status == FrameStatus.OK and estimate.stamp_ns == 110
+
+
 def test_bad_depth_frames_say_why() -> None:
     step = PanelPlane(Calibration(CAMERA, TOF), REGIONS, PlaneSettings())
     step.add_view(9, np.eye(3))

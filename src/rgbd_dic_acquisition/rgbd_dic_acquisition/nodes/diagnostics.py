@@ -54,7 +54,7 @@ class WatchedPublisher:
 
 
 class Diagnostics:
-    """One status for the node (its counters, its level and message) and one for each watched publisher.
+    """One status for the node (its counters, what it tells, its level and message) and one for each watched publisher.
 
     Status names are `/node` and `/node: /topic`. The level is OK until `warn`, then WARN until `ok`. It runs
     by the steady clock, so that a node that waits for /clock is heard too.
@@ -64,6 +64,7 @@ class Diagnostics:
         self._node = node
         self._name = node.get_fully_qualified_name()
         self._counters: Counter[str] = Counter()
+        self._told: dict[str, str] = {}
         self._publishers: list[WatchedPublisher] = []
         self._warning = ""
         self._warned_at = float("-inf")
@@ -83,6 +84,10 @@ class Diagnostics:
     def count(self, name: str, n: int = 1) -> None:
         """Add to a counter, such as "received", "dropped" or "invalid"."""
         self._counters[name] += n
+
+    def tell(self, name: str, value: str) -> None:
+        """Put a value beside the counters; it stays until it is told anew."""
+        self._told[name] = value
 
     def warn(self, text: str) -> None:
         """Set the level to WARN, and log the text (at most every few seconds while it stays the same)."""
@@ -105,7 +110,7 @@ class Diagnostics:
                 level=level,
                 name=self._name,
                 message=self._warning or "OK",
-                values=[_pair(name, count) for name, count in sorted(self._counters.items())],
+                values=[_pair(*named) for named in (*sorted(self._counters.items()), *self._told.items())],
             )
         ]
         message.status += [

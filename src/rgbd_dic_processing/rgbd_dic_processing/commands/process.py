@@ -13,6 +13,7 @@ from rgbd_dic_acquisition.errors import BagError
 
 from ..core.pipeline import Pipeline
 from ..core.regions import load_regions
+from ..core.sensor_delay import TOLD_AS
 from ..recorded import calibration_of, calibration_warning, frame_count, measure_bag
 from ..results import read_truth
 from ..runs import MapSelection, Run
@@ -63,7 +64,11 @@ def run(options: argparse.Namespace) -> int:
         "methods": ", ".join(methods),
     }
     reference = pipeline.tracking.reference
-    result = Run(openings, selection.maps(), reference, inputs, settings.as_dict(), selection.facts())
+    delay = pipeline.sensor_delay()
+    if delay.warning:
+        print(f"warning: {delay.warning}", file=sys.stderr)
+    facts = {**selection.facts(), TOLD_AS: str(delay)}
+    result = Run(openings, selection.maps(), reference, inputs, settings.as_dict(), facts)
     code = finish(result, options.out, regions_path, calibration_path, truth_path)
     if failure is not None:
         raise failure

@@ -18,6 +18,7 @@ from .pairing import FramePair
 from .plane import PlaneEstimate, PlaneMotion
 from .reference_frame import NEEDS_PLANE_OF_FRAME, ReferenceFrame
 from .regions import Regions
+from .sensor_delay import SensorDelay
 from .settings import CompensationSettings
 from .status import FrameStatus
 from .subset_field import Reference, SubsetField
@@ -60,6 +61,12 @@ class DisplacementMeasurement:
         """No more is coming: measure what waits with what is there."""
         return self._measure_all(self._join.flush())
 
+    def sensor_delay(self) -> SensorDelay:
+        """What the frames since the latest reference tell of a delay of the ToF stamps."""
+        if not self._references:
+            return SensorDelay(reason="there is no reference yet")
+        return next(reversed(self._references.values())).sensor_delay()
+
     def _measure_all(self, frames: list[JoinedFrame]) -> list[DisplacementField]:
         return [self._measure(frame) for frame in frames]
 
@@ -78,10 +85,13 @@ class DisplacementMeasurement:
                 FrameStatus.NO_FIXED_REGION,
                 f"{len(fixed)} valid subsets in the fixed region, at least {self._settings.min_subsets} needed",
             )
-        plane, no_plane = _plane_of(frame)
-        if plane is not None:
-            plane = self._plane_motion.at_image(plane, frame.plane.stamp_ns, frame.field.stamp_ns)
-            no_plane = base.take_in_plane(frame, plane, moved_px[fixed], sigma_px[fixed], fixed) or no_plane
+        seen, no_plane = _plane_of(frame)
+        of_fixed = moved_px[fixed], sigma_px[fixed], fixed
+        plane = None
+        if seen is not None:
+            plane = self._plane_motion.at_image(seen, frame.plane.stamp_ns, frame.field.stamp_ns)
+            no_plane = base.take_in_plane(frame, plane, *of_fixed) or no_plane
+        carried = base.follow(frame, seen, *of_fixed)
         try:
             reference_plane = base.plane_for(self._settings.method)
             if reference_plane is None:
@@ -89,6 +99,9 @@ class DisplacementMeasurement:
                 return invalid(FrameStatus.NO_REFERENCE_PLANE, f"no plane of the panel is known yet: {why}")
             if plane is None and self._settings.method in NEEDS_PLANE_OF_FRAME:
                 return invalid(*no_plane)
+            pose = None
+            if carried is not None and plane is not None:
+                reference_plane, plane, pose = carried
             view = FrameView(
                 self._camera,
                 base.ideal_px,
@@ -100,6 +113,7 @@ class DisplacementMeasurement:
                 plane,
                 base.homography(frame.field),
                 base.panel_geometry(reference_plane),
+                pose,
             )
             compensation = SOLVERS[self._settings.method](view, self._settings)
             return base.displacement(frame, self._settings.method, view, compensation, reference_plane)

@@ -13,7 +13,7 @@ from .status import FrameStatus
 
 @dataclass(frozen=True)
 class FramePair:
-    """One image and its ToF frame. `depth_stamp_ns` is None if no frame was near enough."""
+    """One image and its ToF frame: its stamp less the known delay, or None if no frame was near enough."""
 
     stamp_ns: int
     depth_stamp_ns: int | None
@@ -54,7 +54,8 @@ class FramePairing:
         return self._settle()
 
     def add_depth(self, stamp_ns: int) -> list[FramePair]:
-        """A ToF frame came; returns the pairs that are settled now."""
+        """A ToF frame came, with its stamp as it is; returns the pairs that are settled now."""
+        stamp_ns -= self._settings.tof_delay_ns
         if stamp_ns not in self._depths:
             bisect.insort(self._depths, stamp_ns)
         return self._settle()

@@ -14,6 +14,7 @@ from .displacement_field import DisplacementField
 from .pairing import FramePair, FramePairing
 from .plane import PanelPlane, PlaneEstimate
 from .regions import Regions
+from .sensor_delay import SensorDelay
 from .settings import ProcessingSettings
 from .subset_field import Reference, SubsetField
 from .tracking import SubsetTracking
@@ -47,7 +48,7 @@ class Pipeline:
         camera = calibration.camera
         self.tracking = SubsetTracking(camera, regions, settings.correlation, settings.search, settings.renewal)
         self.pairing = FramePairing(settings.pairing)
-        self.planes = PanelPlane(calibration, regions, settings.plane)
+        self.planes = PanelPlane(calibration, regions, settings.plane, settings.pairing.tof_delay_ns)
         self.displacement = {
             method: DisplacementMeasurement(camera, regions, replace(settings.compensation, method=method))
             for method in methods
@@ -79,6 +80,10 @@ class Pipeline:
         done = self._measure(None, None, self.pairing.flush(), self.planes.flush())
         rest = [field for step in self.displacement.values() for field in step.flush()]
         return done + [self._opening(field) for field in rest]
+
+    def sensor_delay(self) -> SensorDelay:
+        """What the frames so far tell of a delay of the ToF stamps; it is the same for all methods."""
+        return next(iter(self.displacement.values())).sensor_delay()
 
     def _measure(
         self,

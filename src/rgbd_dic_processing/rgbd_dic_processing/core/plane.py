@@ -119,14 +119,15 @@ class PanelPlane:
     """Fits the plane of each ToF frame inside the panel region, carried into the current view.
 
     A ToF frame waits for the first image at or after it, so that the view nearest in time is known; which one it
-    uses depends on the stamps alone.
+    uses depends on the stamps alone. tof_delay_ns: known delay of the ToF stamps, subtracted from them.
     """
 
-    def __init__(self, calibration: Calibration, regions: Regions, settings: PlaneSettings):
+    def __init__(self, calibration: Calibration, regions: Regions, settings: PlaneSettings, tof_delay_ns: int = 0):
         if calibration.tof is None:
             raise CalibrationError("the calibration has no 'tof': planes need its intrinsics and T_camera_tof")
         self._calibration = calibration
         self._settings = settings
+        self._tof_delay_ns = tof_delay_ns
         self._crack = regions.crack
         self._mask = polygon_mask(regions.panel, calibration.camera.width, calibration.camera.height)
         self._rays = None if calibration.tof is None else pixel_rays(calibration.tof)
@@ -158,7 +159,7 @@ class PanelPlane:
         """A ToF point cloud (N, 3) in the ToF frame [m]; rows with NaN are dropped."""
         if points_m is not None:
             points_m = points_m[np.isfinite(points_m).all(axis=1)]
-        self._waiting.append((stamp_ns, points_m, reason))
+        self._waiting.append((stamp_ns - self._tof_delay_ns, points_m, reason))
         if len(self._waiting) > MAX_WAITING:
             stamp_ns, _, _ = self._waiting.popleft()
             return [PlaneEstimate(stamp_ns, FrameStatus.NO_PLANE, "no image came after it"), *self._settle()]

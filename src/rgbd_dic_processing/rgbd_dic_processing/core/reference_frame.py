@@ -10,18 +10,22 @@ from rgbd_dic_acquisition.calibration import Camera
 from rgbd_dic_acquisition.errors import MeasurementError
 from scipy.sparse import csr_matrix
 
+from .compensation.h_pose import fit_pose, sensitivity
 from .compensation.motion import Compensation, FrameView, PanelGeometry
 from .displacement_field import DisplacementField
-from .geometry import Plane, apply_homography
+from .geometry import Plane, apply_homography, pose_from_homography
 from .joining import JoinedFrame
+from .panel_motion import PanelMotion, Pose
 from .plane import PlaneEstimate
+from .plane_in_time import CarriedPlanes
 from .realignment import Realignment, realign_to_axis, realign_to_principal_axes
 from .reference_plane import ReferencePlane
 from .regions import Regions
+from .sensor_delay import DelayEstimate, SensorDelay
 from .settings import CompensationSettings
 from .status import FrameStatus
 from .subset_field import Reference, SubsetField
-from .uncertainty import overlap_correlation, quadratic_terms
+from .uncertainty import linear_modes, overlap_correlation, quadratic_terms
 
 Array = NDArray[np.float64]
 NEEDS_PLANE_OF_FRAME = ("h_3d", "pc_3d")  # as in the thesis: from the ToF frames of the two images alone
@@ -44,6 +48,8 @@ class ReferenceFrame:
         self._step_at_reference: PlaneEstimate | None = None
         self._correlation: tuple[float, csr_matrix] | None = None
         self._planes = ReferencePlane(camera, settings.robust_sigmas)
+        self._carried = CarriedPlanes(settings.plane_window_s)
+        self._motion, self._delay = PanelMotion(), DelayEstimate()
 
     def homography(self, field: SubsetField) -> Array:
         """(3, 3), ideal pixels of the reference -> of an image."""
@@ -76,13 +82,49 @@ class ReferenceFrame:
                 return FrameStatus.NO_PLANE, f"the plane of its ToF frame does not fit the motion ({error})"
         return None
 
+    def follow(
+        self, frame: JoinedFrame, plane: Plane | None, moved_px: Array, sigma_px: Array, fixed: NDArray[np.intp]
+    ) -> tuple[Plane, Plane, Pose] | None:
+        """Note how the fixed region moved; arguments as of `take_in_plane`, but the plane at its own moment.
+
+        Returns:
+            The reference plane, the plane in this image, and the pose along which it was carried, for a method that
+            asks for it by `plane_in_time`; None if no plane could be carried.
+        """
+        known = self._planes.mean
+        if known is None:
+            return None
+        start = pose_from_homography(self.camera, self.homography(frame.field), known)
+        points = self.ideal_px[fixed], moved_px, sigma_px
+        try:
+            pose, jacobian, weights, misfit_px = fit_pose(
+                self.camera, *points, known, start, self.settings.robust_sigmas
+            )
+            self._motion.add(frame.field.stamp_ns, pose)
+            if plane is not None:
+                self._carried.add(frame.plane.stamp_ns, plane)
+                self._delay.add(frame.plane.stamp_ns, plane)
+            if self.settings.plane_in_time != "carried" or self.settings.method not in NEEDS_PLANE_OF_FRAME:
+                return None
+            sigma = np.zeros((len(self.ideal_px), 2))
+            sigma[fixed] = np.hypot(sigma_px, misfit_px)
+            modes, _ = linear_modes(sensitivity(jacobian, weights), sigma, self.correlation(frame.field), fixed)
+            seen = self._carried.at_image(frame.field.stamp_ns, self._motion, pose, modes.T @ modes)
+        except (MeasurementError, np.linalg.LinAlgError):
+            return None
+        return (self._carried.reference, seen, pose) if seen is not None else None
+
+    def sensor_delay(self) -> SensorDelay:
+        """What the frames since this reference tell of a delay of the ToF stamps."""
+        return self._delay.estimate(self._motion)
+
     def plane_for(self, method: str) -> Plane | None:
         """The reference plane that a method works with; None if none is known yet.
 
         Raises:
             MeasurementError: if the method takes the plane of the first ToF frame and later ones contradict it.
         """
-        if method not in NEEDS_PLANE_OF_FRAME:
+        if method not in NEEDS_PLANE_OF_FRAME or self.settings.plane_in_time == "carried":
             return self._planes.mean
         if not self._planes.first_agrees:
             raise MeasurementError(

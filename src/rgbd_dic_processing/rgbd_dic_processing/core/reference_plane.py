@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Collection
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from .compensation.h_pose import fit_pose
 from .geometry import Plane, pose_from_homography
 
 Array = NDArray[np.float64]
+WeightedPlane = tuple[Array, Array]  # pi = n / -d (3,), and the inverse of its covariance (3, 3)
 REMEMBERED = 200  # planes that are averaged, the latest ones: ten seconds at 20 Hz
 OUTLIER = 4.0  # distance from the median, in units of what the planes scatter, beyond which one is left out
 CHI2_MEDIAN = 2.366  # median of chi^2 with three degrees of freedom
@@ -35,7 +37,7 @@ class ReferencePlane:
     def __init__(self, camera: Camera, robust_sigmas: float):
         self._camera, self._robust_sigmas = camera, robust_sigmas
         self._newest_ns = -1
-        self._carried: deque[tuple[Array, Array]] = deque(maxlen=REMEMBERED)
+        self._carried: deque[WeightedPlane] = deque(maxlen=REMEMBERED)
         self.first: Plane | None = None
         self.mean: Plane | None = None
         self.first_agrees = True
@@ -68,28 +70,46 @@ class ReferencePlane:
         carried = plane.moved(R, t)
         if carried.normal[2] <= 0 or carried.d >= 0:
             raise MeasurementError("a ToF plane, carried to the reference, lies behind the camera")
-        self._carried.append((carried.inverse_depth, np.linalg.inv(carried.inverse_depth_covariance())))
+        self._carried.append(weighted(carried))
         self._newest_ns = depth_stamp_ns
         if self.first is None:
             self.first = carried
-        self._average()
+        self.mean = average_planes(self._carried)
+        median, scatter = _middle(*_stacked(self._carried))
+        pi, weight = weighted(self.first)
+        self.first_agrees = bool((pi - median) @ weight @ (pi - median) <= OUTLIER**2 * scatter)
 
-    def _average(self) -> None:
-        planes = np.array([pi for pi, _ in self._carried])
-        weights = np.array([weight for _, weight in self._carried])
-        median = np.median(planes, axis=0)
-        squared = _squared(planes - median, weights)
-        scatter = max(1.0, float(np.median(squared)) / CHI2_MEDIAN)
-        kept = squared <= OUTLIER**2 * scatter
-        covariance = np.linalg.inv(weights[kept].sum(axis=0))
-        mean = covariance @ np.einsum("nij,nj->i", weights[kept], planes[kept])
-        freedom = 3 * (np.sum(kept) - 1)
-        if freedom:
-            covariance = covariance * max(1.0, float(_squared(planes[kept] - mean, weights[kept]).sum()) / freedom)
-        self.mean = Plane.from_inverse_depth(mean, covariance)
-        first = self.first.inverse_depth - median
-        weight = np.linalg.inv(self.first.inverse_depth_covariance())
-        self.first_agrees = bool(first @ weight @ first <= OUTLIER**2 * scatter)
+
+def weighted(plane: Plane) -> WeightedPlane:
+    """A plane as it is averaged."""
+    return plane.inverse_depth, np.linalg.inv(plane.inverse_depth_covariance())
+
+
+def average_planes(planes: Collection[WeightedPlane]) -> Plane:
+    """The weighted mean of planes of one frame, without those far from the median.
+
+    If they scatter more than their covariances say, it is given the larger uncertainty.
+    """
+    pi, weights = _stacked(planes)
+    median, scatter = _middle(pi, weights)
+    kept = _squared(pi - median, weights) <= OUTLIER**2 * scatter
+    covariance = np.linalg.inv(weights[kept].sum(axis=0))
+    mean = covariance @ np.einsum("nij,nj->i", weights[kept], pi[kept])
+    freedom = 3 * (np.sum(kept) - 1)
+    if freedom:
+        covariance = covariance * max(1.0, float(_squared(pi[kept] - mean, weights[kept]).sum()) / freedom)
+    return Plane.from_inverse_depth(mean, covariance)
+
+
+def _stacked(planes: Collection[WeightedPlane]) -> tuple[Array, Array]:
+    """pi (n, 3) and the weights (n, 3, 3)."""
+    return np.array([pi for pi, _ in planes]), np.array([weight for _, weight in planes])
+
+
+def _middle(pi: Array, weights: Array) -> tuple[Array, float]:
+    """The median (3,), and how many times their variance the squared distances from it are, at least 1."""
+    median = np.median(pi, axis=0)
+    return median, max(1.0, float(np.median(_squared(pi - median, weights))) / CHI2_MEDIAN)
 
 
 def _squared(differences: Array, weights: Array) -> Array:

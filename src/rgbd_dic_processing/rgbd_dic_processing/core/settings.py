@@ -80,6 +80,18 @@ class PairingSettings(Settings):
         high=2.0,
         doc="How much later an image must be before a missing ToF frame is given up.",
     )
+    tof_delay_s: float = setting(
+        0.0,
+        unit="s",
+        low=-1.0,
+        high=1.0,
+        doc="How much too late the stamps of the ToF frames are known to be; it is subtracted from them.",
+    )
+
+    @property
+    def tof_delay_ns(self) -> int:
+        """`tof_delay_s`, as it is subtracted from a stamp [ns]."""
+        return round(self.tof_delay_s * 1e9)
 
 
 @dataclass(frozen=True)
@@ -123,6 +135,15 @@ class CompensationSettings(Settings):
         low=0.0,
         high=0.1,
         doc="A ToF plane enters the averaged reference plane through an image at most this far in time.",
+    )
+    plane_in_time: str = setting(
+        "nearest",
+        choices=("nearest", "carried"),
+        doc="h_3d, pc_3d: the plane of the ToF frame nearest in time, as it is; or the mean of the latest ones, each "
+        "carried to the image along the motion of the fixed region.",
+    )
+    plane_window_s: float = setting(
+        1.0, unit="s", low=0.05, high=60.0, doc="carried: ToF frames up to this long before the image are averaged."
     )
     max_waiting: int = setting(
         64,

@@ -15,6 +15,7 @@ from rgbd_dic_msgs.msg import FramePair, PlaneStamped, Reference, SubsetField
 from ..core.displacement import DisplacementMeasurement
 from ..core.displacement_field import DisplacementField
 from ..core.regions import load_regions
+from ..core.sensor_delay import TOLD_AS
 from ..core.settings import CompensationSettings
 from ..core.status import FrameStatus
 from .inputs import STREAM_DEPTH, CameraInput, IdleFlush, sensor_qos
@@ -25,6 +26,8 @@ from .messages import (
     reference_from_message,
     subset_field_from_message,
 )
+
+DELAY_EVERY = 300  # frames after which the delay between the sensors' clocks is estimated again
 
 
 class CompensationNode(Node):
@@ -37,8 +40,9 @@ class CompensationNode(Node):
             self.create_publisher(DisplacementFieldMessage, "displacement_field", STREAM_DEPTH)
         )
         self._step: DisplacementMeasurement | None = None
+        self._frames, self._delay_warning = 0, ""
         self._camera = CameraInput(self, self._diagnostics, sensor_qos(self), self._start)
-        self._idle = IdleFlush(self, lambda: self._publish(self._step.flush()), IdleFlush.AFTER_OTHERS_S)
+        self._idle = IdleFlush(self, self._flush, IdleFlush.AFTER_OTHERS_S)
 
     def _start(self, camera: Camera) -> None:
         step = self._step = DisplacementMeasurement(camera, self._regions, self._settings)
@@ -56,14 +60,29 @@ class CompensationNode(Node):
         self._idle.touch()
         self._publish(fields)
 
+    def _flush(self) -> None:
+        self._publish(self._step.flush())
+        self._look_at_delay()
+
+    def _look_at_delay(self) -> None:
+        delay = self._step.sensor_delay()
+        self._delay_warning = delay.warning
+        self._diagnostics.tell(TOLD_AS, str(delay))
+        if delay.warning:
+            self._diagnostics.warn(delay.warning)
+
     def _publish(self, fields: list[DisplacementField]) -> None:
         for field in fields:
+            self._frames += 1
+            if self._frames % DELAY_EVERY == 0:
+                self._look_at_delay()
             self._diagnostics.count("frames")
-            if field.status == FrameStatus.OK:
-                self._diagnostics.ok()
-            else:
+            if field.status != FrameStatus.OK:
                 self._diagnostics.count("invalid")
-                self._diagnostics.warn(field.reason)
+            if wrong := field.reason or self._delay_warning:
+                self._diagnostics.warn(wrong)
+            else:
+                self._diagnostics.ok()
             self._output.publish(displacement_field_message(make, field))
 
 

@@ -17,7 +17,7 @@ from rgbd_dic_msgs.msg import SubsetField as SubsetFieldMessage
 
 from ..core.plane import PanelPlane, PlaneEstimate
 from ..core.regions import load_regions
-from ..core.settings import PlaneSettings
+from ..core.settings import PairingSettings, PlaneSettings
 from .inputs import STREAM_DEPTH, IdleFlush, sensor_qos
 from .messages import plane_message, subset_field_from_message
 
@@ -29,7 +29,8 @@ class PlaneNode(Node):
             declare_path(self, "calibration_file", "calibration.yaml: intrinsics of both sensors, extrinsics")
         )
         regions = load_regions(declare_path(self, "regions_file", "regions.yaml: the panel and the crack"))
-        self._planes = PanelPlane(calibration, regions, declare(self, PlaneSettings, "plane"))
+        pairing = declare(self, PairingSettings, "pairing")
+        self._planes = PanelPlane(calibration, regions, declare(self, PlaneSettings, "plane"), pairing.tof_delay_ns)
         self._frame_id = "camera_optical_frame"
         self._diagnostics = Diagnostics(self)
         self._output = self._diagnostics.watch(self.create_publisher(PlaneStamped, "plane", STREAM_DEPTH))

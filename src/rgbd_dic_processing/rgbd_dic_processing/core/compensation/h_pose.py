@@ -45,10 +45,7 @@ def compensate(view: FrameView, settings: CompensationSettings) -> Compensation:
             f"h_pose: the fixed region moves unlike a rigid plane (residual {residual_px:.2f} px RMS, "
             f"at most {settings.inlier_px:g} px): it may hold the crack, or the reference plane is wrong"
         )
-    weighted = jacobian * weights
-    normal_matrix = np.einsum("pma,qma->pq", weighted, jacobian)
-    sensitivity = np.einsum("pq,qma->pma", np.linalg.inv(normal_matrix), weighted)
-    dic_modes, coupling = linear_modes(sensitivity, sigma_px, view.correlation, fixed)
+    dic_modes, coupling = linear_modes(sensitivity(jacobian, weights), sigma_px, view.correlation, fixed)
     poses = [(displaced(pose, mode), view.reference_plane) for mode in dic_modes]
     for mode in independent_modes(view.reference_plane.inverse_depth_covariance()):
         plane = Plane.from_inverse_depth(view.reference_plane.inverse_depth + mode)
@@ -106,6 +103,12 @@ def fit_pose(
         if np.sqrt(np.mean(np.square(np.einsum("p,pma->ma", step, jacobian)))) < CONVERGED_PX:
             return (R, t), jacobian, weights, misfit_px
     raise MeasurementError("the pose of the fixed region did not converge")
+
+
+def sensitivity(jacobian: Array, weights: Array) -> Array:
+    """d (rotation vector, translation) / d pixel, (6, M, 2), of a fit with the Jacobian and weights of `fit_pose`."""
+    weighted = jacobian * weights
+    return np.einsum("pq,qma->pma", np.linalg.inv(np.einsum("pma,qma->pq", weighted, jacobian)), weighted)
 
 
 def pose_jacobian(focal: Array, turned: Array, moved: Array) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +40,7 @@ class FrameView:
     plane: the panel in this frame, from the paired ToF frame; None if there is none.
     seed: homography (3, 3) reference -> image that the DIC started from.
     panel: where the subsets are on the panel.
+    carried: the pose (R, t) along which `plane` was carried from planes of the reference; None if it was not.
     """
 
     camera: Camera
@@ -52,6 +53,15 @@ class FrameView:
     plane: Plane | None
     seed: Array
     panel: PanelGeometry
+    carried: tuple[Array, Array] | None = None
+
+    def with_reference_plane(self, reference_plane: Plane) -> FrameView:
+        """The frame as it would be with another reference plane: a plane that was carried to it moves along."""
+        plane = self.plane
+        if self.carried is not None:
+            apart = plane.inverse_depth - self.reference_plane.moved(*self.carried).inverse_depth
+            plane = Plane.from_inverse_depth(reference_plane.moved(*self.carried).inverse_depth + apart)
+        return replace(self, reference_plane=reference_plane, plane=plane)
 
 
 @dataclass(frozen=True)

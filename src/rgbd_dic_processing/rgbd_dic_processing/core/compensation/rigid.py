@@ -66,7 +66,8 @@ def _modes(view: FrameView, pose: Pose, used: NDArray[np.intp]) -> tuple[tuple[t
     centre_modes, coupling = _centre_modes(view, pose, used)
     modes = [(moved, view.reference_plane, view.plane) for moved in centre_modes]
     for plane in _plane_modes(view.reference_plane):
-        modes.append((_refit(replace(view, reference_plane=plane), used), plane, view.plane))
+        seen = view.with_reference_plane(plane)
+        modes.append((_refit(seen, used), plane, seen.plane))
     for plane in _plane_modes(view.plane):
         modes.append((_refit(replace(view, plane=plane), used), view.reference_plane, plane))
     return tuple(modes), coupling
