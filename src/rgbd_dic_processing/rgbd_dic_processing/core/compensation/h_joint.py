@@ -144,11 +144,11 @@ def _most_likely(
         solution = covariance @ by_data
         c = solution[POSE:]
         unknown = np.einsum("dpq,pq->d", basis.energies, covariance[POSE:, POSE:]) / strains**2
-        before, energy = strains, np.einsum("p,dpq,q->d", c, basis.energies, c)
-        known = np.maximum(basis.counts - unknown, 1e-6)
-        pooled = energy.sum() / known.sum()
+        before, energy = strains, np.maximum(np.einsum("p,dpq,q->d", c, basis.energies, c), 0)
+        known = np.maximum(basis.counts - unknown, 0)
+        pooled = energy.sum() / max(known.sum(), 1.0)
         trust = POOLED * basis.counts
         strains = np.maximum(np.sqrt((energy + trust * pooled) / (known + trust)), LEAST_STRAIN)
-        if np.all(np.abs(strains - before) < 1e-3 * before):
+        if np.all(np.abs(strains - before) < 1e-2 * before):
             break
     return solution, covariance, prior, strains
