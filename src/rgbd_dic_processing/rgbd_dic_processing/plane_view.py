@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from plyfile import PlyData, PlyElement
 from rgbd_dic_acquisition.bag import BagReader
 from rgbd_dic_acquisition.calibration import Calibration
 from rgbd_dic_acquisition.errors import MeasurementError, RgbdDicError
@@ -92,11 +91,16 @@ class PlaneView:
         Raises:
             RgbdDicError: if they cannot be written.
         """
+        from plyfile import PlyData, PlyElement  # only here: nothing else needs the library
+
         face = np.array([([0, 1, 2, 3],)], dtype=[("vertex_indices", "i4", (4,))])
         files = {
-            "cloud": [_vertices(self.cloud_m, GREY)],
-            "selection": [_vertices(self.selection_m, RED)],
-            "plane": [_vertices(self.corners_m, GREEN), PlyElement.describe(face, "face")],
+            "cloud": [PlyElement.describe(_vertices(self.cloud_m, GREY), "vertex")],
+            "selection": [PlyElement.describe(_vertices(self.selection_m, RED), "vertex")],
+            "plane": [
+                PlyElement.describe(_vertices(self.corners_m, GREEN), "vertex"),
+                PlyElement.describe(face, "face"),
+            ],
         }
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -106,14 +110,12 @@ class PlaneView:
             raise RgbdDicError(f"cannot write to {folder}: {error.strerror}") from error
 
 
-def _vertices(points_m: Array, colour: tuple[int, int, int]) -> PlyElement:
+def _vertices(points_m: Array, colour: tuple[int, int, int]) -> NDArray[np.void]:
     kinds = [(name, "f4") for name in "xyz"] + [(name, "u1") for name in ("red", "green", "blue")]
     rows = np.empty(len(points_m), kinds)
-    for i, name in enumerate("xyz"):
-        rows[name] = points_m[:, i]
-    for name, value in zip(("red", "green", "blue"), colour, strict=True):
-        rows[name] = value
-    return PlyElement.describe(rows, "vertex")
+    rows["x"], rows["y"], rows["z"] = points_m.T
+    rows["red"], rows["green"], rows["blue"] = colour
+    return rows
 
 
 def view_plane(
@@ -144,8 +146,8 @@ def view_plane(
     selection, _ = PanelPlane(calibration, regions, settings.plane).select(points, homography)
     if len(selection) < settings.plane.min_points:
         raise MeasurementError(
-            f"{len(selection)} ToF points on the panel, at least {settings.plane.min_points} needed: is the panel drawn "
-            "on this camera's first image?"
+            f"{len(selection)} ToF points on the panel, at least {settings.plane.min_points} needed: is the panel "
+            "drawn on this camera's first image?"
         )
     plane, inliers, rms = fit_plane(selection, settings.plane)
     systematic = systematic_covariance(selection[inliers], plane, calibration.t_camera_tof, settings.plane)

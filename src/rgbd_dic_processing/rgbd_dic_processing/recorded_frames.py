@@ -65,7 +65,7 @@ def nearest_cloud(bag: BagReader, calibration: Calibration, stamp_ns: int) -> tu
         best = stamp, points[np.isfinite(points).all(axis=1)]
     if best is None or not len(best[1]):
         raise BagError(
-            f"{bag.path}: topic {name} has no readable frame with points within {VIEW_LIMIT_S:g} s of the image of stamp "
+            f"{bag.path}: topic {name} has no readable frame with points within {VIEW_LIMIT_S:g} s of the image at "
             f"{stamp_ns * 1e-9:.3f} s; choose another time"
         )
     return best

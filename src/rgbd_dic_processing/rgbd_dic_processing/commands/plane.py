@@ -22,7 +22,7 @@ def add_parser(commands: Any) -> None:
     parser.add_argument(
         "--regions",
         type=Path,
-        help="regions.yaml (default: the one inside the bag's directory); if it has no panel, that is found by its depth",
+        help="regions.yaml (default: the one inside the bag's directory); without a panel, it is found by its depth",
     )
     parser.add_argument(
         "--calibration", type=Path, help="calibration.yaml (default: the one inside the bag's directory)"

@@ -17,14 +17,17 @@ Array = NDArray[np.float64]
 
 VOXEL_M = 0.02  # points become one per voxel: even in area, and less noisy
 ITERATIONS = 1000  # of the sample consensus, for each plane
+SETTLING = 30  # times that a plane is fitted to the points near it
 PLANES = 8  # tried at most
+LEAST_FILLED = 0.5  # part of the points within the panel's outline that must lie on it
 LEAST_POINTS = 30  # of a cluster, after thinning
 OUTSIDE = 0.02  # part of a plane's points that may lie outside the image, as noise and flying pixels do
+DRAW = "draw the panel into regions.yaml (docs/files.md)"
 
 
 @dataclass(frozen=True)
 class PanelFindingSettings(Settings):
-    """The search for the panel where regions.yaml has no `panel` (`process`, `up`, `plane` and `find-panel`; no node)."""
+    """The search for the panel where regions.yaml has no `panel` (no node does that)."""
 
     thickness_m: float = setting(
         0.02, unit="m", low=0.001, high=0.5, doc="Farthest that a point of the panel is from its plane."
@@ -86,10 +89,9 @@ def find_panel(
     """
     pieces = _pieces(points_m, calibration, settings)
     pieces = [piece for piece in pieces if piece.share >= settings.min_share]
-    draw = "draw the panel into regions.yaml (docs/files.md)"
     if not pieces:
         raise MeasurementError(
-            f"no panel found: no plane covers {settings.min_share:.0%} of the image; come nearer, or {draw}"
+            f"no panel found: no plane covers {settings.min_share:.0%} of the image; come nearer, or {DRAW}"
         )
     pieces = [piece for piece in pieces if not any(other.hides(piece) for other in pieces)]
     pieces.sort(key=lambda piece: -piece.share)
@@ -97,12 +99,12 @@ def find_panel(
     rivals = [piece for piece in pieces[1:] if piece.share >= settings.rival_share * panel.share]
     if rivals:
         raise MeasurementError(
-            f"no panel found: two planes are about as likely, {_words(panel)} and {_words(rivals[0])}; {draw}"
+            f"no panel found: two planes are about as likely, {_words(panel)} and {_words(rivals[0])}; {DRAW}"
         )
     if not panel.whole:
         raise MeasurementError(
             f"no panel found: the largest plane, {_words(panel)}, leaves the image with {1 - panel.inside:.0%} of its "
-            f"points; step back, or {draw}"
+            f"points; step back, or {DRAW}"
         )
     return FoundPanel(_outline(panel, points_m, calibration.camera, subset_size, settings), panel.share, -panel.d)
 
@@ -120,7 +122,7 @@ def _pieces(points_m: Array, calibration: Calibration, settings: PanelFindingSet
     for _ in range(PLANES):
         if len(rest.points) < LEAST_POINTS:
             break
-        _, chosen = rest.segment_plane(settings.thickness_m, 3, ITERATIONS)
+        chosen = _settled(np.asarray(rest.points), rest.segment_plane(settings.thickness_m, 3, ITERATIONS)[1], settings)
         on_plane, rest = rest.select_by_index(chosen), rest.select_by_index(chosen, invert=True)
         labels = np.asarray(on_plane.cluster_dbscan(settings.gap_m, 4))
         for label in range(labels.max(initial=-1) + 1):
@@ -130,13 +132,31 @@ def _pieces(points_m: Array, calibration: Calibration, settings: PanelFindingSet
     return pieces
 
 
-def _piece(points_m: Array, calibration: Calibration) -> _Piece:
-    camera, middle = calibration.camera, points_m.mean(axis=0)
+def _settled(points_m: Array, chosen: NDArray[np.intp], settings: PanelFindingSettings) -> NDArray[np.intp]:
+    """The points near the plane through them: the same from every run, as the sample consensus on threads is not."""
+    for _ in range(SETTLING):
+        normal, d = _plane_through(points_m[chosen])
+        nearer = np.flatnonzero(np.abs(points_m @ normal + d) <= settings.thickness_m)
+        if np.array_equal(nearer, chosen):
+            break
+        chosen = nearer
+    return chosen
+
+
+def _plane_through(points_m: Array) -> tuple[Array, float]:
+    """Least squares: n (3,) and d < 0 of n . X + d = 0."""
+    middle = points_m.mean(axis=0)
     normal = np.linalg.svd(points_m - middle, full_matrices=False)[2][2]
     normal = normal * np.sign(normal @ middle)
+    return normal, float(-normal @ middle)
+
+
+def _piece(points_m: Array, calibration: Calibration) -> _Piece:
+    camera, middle = calibration.camera, points_m.mean(axis=0)
+    normal, d = _plane_through(points_m)
     pixels, inside = _seen(points_m, camera)
     mask = _mask(pixels[inside], VOXEL_M * camera.fx / middle[2], camera)
-    return _Piece(normal, float(-normal @ middle), middle, mask, float(mask.mean()), float(inside.mean()))
+    return _Piece(normal, d, middle, mask, float(mask.mean()), float(inside.mean()))
 
 
 def _seen(points_m: Array, camera: Camera) -> tuple[Array, NDArray[np.bool_]]:
@@ -162,12 +182,19 @@ def _outline(panel: _Piece, points_m: Array, camera: Camera, subset_size: int, s
     """Polygon (M, 2) of the panel, from all its points, less the margins.
 
     Raises:
-        MeasurementError: if nothing is left.
+        MeasurementError: if most points within it are not on the plane, or nothing is left.
     """
     pixels, inside = _seen(points_m, camera)
-    near = inside & (np.abs(points_m @ panel.normal + panel.d) <= settings.thickness_m)
-    column, row = np.rint(pixels[near]).astype(int).T
-    pixels = pixels[near][panel.mask[row, column] > 0]
+    pixels, points_m = pixels[inside], points_m[inside]
+    column, row = np.rint(pixels).astype(int).T
+    within = panel.mask[row, column] > 0
+    near = within & (np.abs(points_m @ panel.normal + panel.d) <= settings.thickness_m)
+    if np.sum(near) < LEAST_FILLED * np.sum(within):
+        raise MeasurementError(
+            f"no panel found: of the points within the outline of the largest plane, {_words(panel)}, only "
+            f"{np.sum(near) / np.sum(within):.0%} lie on it; {DRAW}"
+        )
+    pixels = pixels[near]
     spacing_px = float(np.sqrt(panel.mask.sum() / len(pixels)))
     margin = settings.edge_px * spacing_px + subset_size / 2
     straight = margin / 3  # so far may a corner of the polygon be from the outline
@@ -176,7 +203,8 @@ def _outline(panel: _Piece, points_m: Array, camera: Camera, subset_size: int, s
     contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     if not contours:
         raise MeasurementError(
-            f"no panel found: the largest plane, {_words(panel)}, is narrower than its margins of {margin:.0f} px"
+            f"no panel found: the largest plane, {_words(panel)}, is narrower than its margins of "
+            f"{margin:.0f} px; {DRAW}"
         )
     largest = max(contours, key=cv2.contourArea)
     return cv2.approxPolyDP(largest, straight, True).reshape(-1, 2).astype(float)

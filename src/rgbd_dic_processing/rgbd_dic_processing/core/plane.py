@@ -111,18 +111,16 @@ def fit_plane(points_m: Array, settings: PlaneSettings) -> tuple[Plane, NDArray[
         settings.max_residual_m,
         MSAC_TRIALS,
     )
-    weights = np.ones(len(z))
+    weights, errors = np.ones(len(z)), depth_errors(pi)
     for _ in range(20):
-        errors = depth_errors(pi)
         near = errors <= settings.max_residual_m
         sigma = max(1.4826 * float(np.median(errors[near])), LEAST_SIGMA_M)
         weights = np.where(near, np.clip(1 - (errors / (4.685 * sigma)) ** 2, 0, None) ** 2, 0)
         refined = solve(slice(None), weights)
         if refined is None:
             raise MeasurementError("the ToF points do not span a plane")
-        change = np.abs(depth_errors(refined) - errors).max()
-        pi = refined
-        if change < 1e-7:
+        before, pi, errors = errors, refined, depth_errors(refined)
+        if np.abs(errors - before).max() < 1e-7:
             break
     inliers = weights > 0
     share = inliers.mean()

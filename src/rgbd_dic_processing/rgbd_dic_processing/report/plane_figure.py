@@ -68,16 +68,18 @@ def _dots(ax: Axes3D, points_m: Array, colour: str) -> None:
 def _in_space(ax: Axes3D, points_m: Array, title: str) -> None:
     ax.set(xlabel="x [m]", ylabel="z, depth [m]", zlabel="-y [m]", title=title)
     size = np.ptp(points_m[:, [0, 2, 1]], axis=0)
-    ax.set_box_aspect(np.maximum(size, 0.25 * size.max()))
-    ax.view_init(elev=14, azim=-62)
-    ax.locator_params(nbins=5)
+    ax.set_box_aspect(np.maximum(size, 0.4 * size.max()), zoom=0.9)
+    ax.view_init(elev=16, azim=-55)
+    ax.tick_params(pad=0)
+    ax.locator_params(nbins=4)
+    ax.locator_params(axis="y", nbins=3)
 
 
 def _from_the_edge(ax: Axes, view: PlaneView) -> None:
     chosen = _some(len(view.selection_m))
     x, off = view.selection_m[chosen, 0], 1e3 * view.residuals_m[chosen]
     kept = view.inliers[chosen]
-    limit = 1.3 * np.abs(off[kept]).max()
+    limit = 1.5 * np.abs(off[kept]).max()
     ax.plot(x[kept], off[kept], ".", markersize=1.2, color=VERMILION, label="point of the region")
     ax.plot(x[~kept], off[~kept], "x", markersize=3, markeredgewidth=0.7, color="0.35", label="left out by the fit")
     ax.plot(view.corners_m[:2, 0], [0, 0], color=GREEN, linewidth=2.5, label="plane")
@@ -89,27 +91,17 @@ def _from_the_edge(ax: Axes, view: PlaneView) -> None:
 
 def _residual_map(figure: Figure, ax: Axes, view: PlaneView) -> None:
     rows, columns = view.image.shape
-    limit = 2.5e3 * view.rms_m
-    ax.imshow(view.image, cmap="gray", vmin=0, vmax=255, alpha=0.6, extent=(-0.5, columns - 0.5, rows - 0.5, -0.5))
-    kept = view.inliers
-    size = 0.5 * (72 * 4.2 / columns) ** 2 * _area_px2(view)
-    picture = ax.scatter(
-        *view.pixels[kept].T,
-        c=1e3 * view.residuals_m[kept],
-        s=size,
-        marker="s",
-        cmap="PuOr",
-        vmin=-limit,
-        vmax=limit,
-        linewidths=0,
-        rasterized=True,
-    )
-    ax.plot(*view.pixels[~kept].T, ".", markersize=1, color=BLACK, rasterized=True)
+    extent = (-0.5, columns - 0.5, rows - 0.5, -0.5)
+    kept, pixels = view.inliers, view.pixels
+    cell = 2 * np.sqrt(np.prod(np.ptp(pixels, axis=0)) / len(pixels))  # holds about four points
+    edges = [np.arange(-0.5, size, cell) for size in (columns, rows)]
+    count, *_ = np.histogram2d(*pixels[kept].T, bins=edges)
+    total, *_ = np.histogram2d(*pixels[kept].T, bins=edges, weights=1e3 * view.residuals_m[kept])
+    mean = np.divide(total, count, out=np.full(count.shape, np.nan), where=count > 0).T
+    limit = 2.5 * np.nanstd(mean)
+    ax.imshow(view.image, cmap="gray", vmin=0, vmax=255, extent=extent)
+    picture = ax.pcolormesh(*edges, mean, cmap="PuOr", vmin=-limit, vmax=limit, rasterized=True)
+    ax.plot(*pixels[~kept].T, ".", markersize=2, color=BLACK, rasterized=True)
     figure.colorbar(picture, ax=ax, label="behind the plane [mm]", shrink=0.9)
-    ax.set(xlabel="x [px]", ylabel="y [px]", xlim=(-0.5, columns - 0.5), ylim=(rows - 0.5, -0.5))
-    ax.set_title("residuals over the image; black: left out by the fit")
-
-
-def _area_px2(view: PlaneView) -> float:
-    """Area of the image that a ToF point stands for."""
-    return float(np.prod(np.ptp(view.pixels, axis=0)) / len(view.pixels))
+    ax.set(xlabel="x [px]", ylabel="y [px]", xlim=extent[:2], ylim=extent[2:], aspect="equal")
+    ax.set_title("mean residual of four points; black: left out by the fit")
