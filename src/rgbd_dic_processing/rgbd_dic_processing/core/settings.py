@@ -99,14 +99,14 @@ class PlaneSettings(Settings):
         unit="m",
         low=0.0,
         high=0.1,
-        doc="Standard uncertainty of the ToF sensor's distances that frames share ([why](method.md#tof-plane)).",
+        doc="Accuracy of the ToF sensor: standard uncertainty of its distances that frames share.",
     )
     systematic_length_m: float = setting(
         0.1,
         unit="m",
         low=0.001,
         high=100.0,
-        doc="Difference in distance over which half of its variance becomes another error.",
+        doc="Difference in distance over which half of its variance changes.",
     )
 
 
