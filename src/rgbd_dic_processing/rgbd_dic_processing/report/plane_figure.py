@@ -70,9 +70,9 @@ def _in_space(ax: Axes3D, points_m: Array, title: str) -> None:
     size = np.ptp(points_m[:, [0, 2, 1]], axis=0)
     ax.set_box_aspect(np.maximum(size, 0.4 * size.max()), zoom=0.9)
     ax.view_init(elev=16, azim=-55)
-    ax.tick_params(pad=0)
+    ax.tick_params(pad=0, labelsize=7)
     ax.locator_params(nbins=4)
-    ax.locator_params(axis="y", nbins=3)
+    ax.locator_params(axis="y", nbins=2)
 
 
 def _from_the_edge(ax: Axes, view: PlaneView) -> None:
