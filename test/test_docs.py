@@ -94,7 +94,7 @@ def test_options(page: Path) -> None:
     """Every sub-command and option of `rgbd-dic` that a page names exists."""
     known = sub_commands()
     for line in code(page):
-        for command, rest in re.findall(r"\brgbd-dic ([a-z]+)\b([^|;&#]*)", line):
+        for command, rest in re.findall(r"\brgbd-dic ([a-z]+(?:-[a-z]+)*)\b([^|;&#]*)", line):
             assert command in known, f"{line}: rgbd-dic has no {command}"
             options = set(re.findall(r"(?<!\S)--?[a-z][\w-]*", rest))
             unknown = options - set(known[command]._option_string_actions)

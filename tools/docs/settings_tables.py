@@ -22,6 +22,7 @@ from rgbd_dic_processing.nodes.inputs import SensorQosSettings
 STAGES: dict[str, type[Settings]] = {
     field.name: field.default_factory for field in dataclasses.fields(ProcessingSettings)
 }
+OFFLINE = ("panel_finding",)  # stages before the graph; no node has their parameters
 # Groups of parameters of the nodes: the part of the name before the dot, or the node's own.
 NODES: dict[str, type[Settings]] = {
     "sensor_qos": SensorQosSettings,
@@ -56,7 +57,8 @@ def sections(groups: dict[str, type[Settings]] | dict[str, Settings]) -> str:
 
 def processing_yaml() -> str:
     """All parameters of the processing nodes with their defaults."""
-    groups = {**STAGES, "sensor_qos": NODES["sensor_qos"]}
+    groups = {name: kind for name, kind in STAGES.items() if name not in OFFLINE}
+    groups["sensor_qos"] = NODES["sensor_qos"]
     lines = [
         "# All parameters of the processing nodes, with their defaults (docs/parameters.md). Written by `make docs`.",
         "# `/**` makes them hold for every node in any namespace; a node takes those that it knows.",

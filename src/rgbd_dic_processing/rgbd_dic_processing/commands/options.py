@@ -6,10 +6,14 @@ import argparse
 from dataclasses import replace
 from pathlib import Path
 
+from rgbd_dic_acquisition.bag import BagReader
+from rgbd_dic_acquisition.calibration import Calibration
 from rgbd_dic_acquisition.errors import RgbdDicError
 
 from ..core.displacement import SOLVERS
+from ..core.regions import read_entries
 from ..core.settings import ProcessingSettings, load_settings
+from ..found_regions import find_regions
 from ..results import read_truth
 from ..runs import TRUTH_NAME, Run
 from ..summary import SUMMARY_NAME, summary
@@ -19,7 +23,11 @@ NOTHING_VALID = 3
 
 def add_measurement(parser: argparse.ArgumentParser) -> None:
     """Options of the sub-commands that measure a bag."""
-    parser.add_argument("--regions", type=Path, help="regions.yaml (default: the one inside the bag's directory)")
+    parser.add_argument(
+        "--regions",
+        type=Path,
+        help="regions.yaml (default: the one inside the bag's directory); without a panel, it is found by its depth",
+    )
     parser.add_argument(
         "--calibration", type=Path, help="calibration.yaml (default: the one inside the bag's directory)"
     )
@@ -65,6 +73,22 @@ def required_file(given: Path | None, bag: Path, name: str) -> Path:
     path = given or beside(bag, name)
     if path is None:
         raise RgbdDicError(f"no {name} in {bag}: give it with --{name.removesuffix('.yaml')} (see docs/files.md)")
+    return path
+
+
+def complete_regions(
+    bag: BagReader, calibration: Calibration, given: Path | None, settings: ProcessingSettings, folder: Path
+) -> Path:
+    """The regions.yaml given, if it has a panel; else one with the panel found, which is written into a folder.
+
+    Raises:
+        MeasurementError: if no panel can be found.
+    """
+    if given is not None and "panel" in read_entries(given):
+        return given
+    found, path = find_regions(bag, calibration, given, settings), folder / "regions.yaml"
+    found.save(path)
+    print(f"{found}: {path}")
     return path
 
 

@@ -17,7 +17,7 @@ from ..core.sensor_delay import TOLD_AS
 from ..recorded import calibration_of, calibration_warning, frame_count, measure_bag
 from ..results import read_truth
 from ..runs import MapSelection, Run
-from .options import add_measurement, beside, finish, measurement_settings, required_file
+from .options import add_measurement, beside, complete_regions, finish, measurement_settings
 from .progress import progress
 
 
@@ -35,8 +35,6 @@ def run(options: argparse.Namespace) -> int:
     settings, methods = measurement_settings(options)
     if options.threads is not None:
         settings = replace(settings, correlation=replace(settings.correlation, threads=options.threads))
-    regions_path = required_file(options.regions, options.bag, "regions.yaml")
-    regions = load_regions(regions_path)
     calibration_path = options.calibration or beside(options.bag, "calibration.yaml")
     truth_path = options.truth or beside(options.bag, "truth.csv")
     if truth_path is not None:
@@ -46,7 +44,9 @@ def run(options: argparse.Namespace) -> int:
         calibration = calibration_of(bag, calibration_path)
         if warning := calibration_warning(bag, calibration):
             print(f"warning: {warning}", file=sys.stderr)
-        pipeline = Pipeline(calibration, regions, settings, methods)
+        given = options.regions or beside(options.bag, "regions.yaml")
+        regions_path = complete_regions(bag, calibration, given, settings, options.out)
+        pipeline = Pipeline(calibration, load_regions(regions_path), settings, methods)
         with progress(frame_count(bag), "frame") as bar:
             try:
                 for measurements in measure_bag(bag, pipeline):

@@ -27,7 +27,7 @@ from ..graph import (
 from ..processes import GraphProcesses
 from ..recorded import check_topics, has_clouds
 from ..results import read_truth
-from .options import add_measurement, beside, finish, measurement_settings, required_file
+from .options import add_measurement, beside, complete_regions, finish, measurement_settings, required_file
 from .progress import progress
 
 if TYPE_CHECKING:
@@ -73,11 +73,13 @@ def run(options: argparse.Namespace) -> int:
     if options.namespace and not options.namespace.startswith("/"):
         options.namespace = f"/{options.namespace}"
     source = options.bag or options.out
-    files = GraphFiles(
-        required_file(options.calibration, source, "calibration.yaml"),
-        required_file(options.regions, source, "regions.yaml"),
-    )
-    load_calibration(files.calibration)
+    calibration_path = required_file(options.calibration, source, "calibration.yaml")
+    calibration = load_calibration(calibration_path)
+    regions_path = required_file(options.regions, source, "regions.yaml")
+    if options.bag:
+        with BagReader(options.bag) as bag:
+            regions_path = complete_regions(bag, calibration, regions_path, settings, options.out)
+    files = GraphFiles(calibration_path, regions_path)
     if load_regions(files.regions).crack is None:
         raise RgbdDicError(f"{files.regions}: the graph needs an entry 'crack' (see docs/files.md)")
     truth_path = options.truth or (beside(options.bag, "truth.csv") if options.bag else None)

@@ -8,11 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from rgbd_dic_acquisition.calibration import Calibration, pixel_rays
-from rgbd_dic_acquisition.errors import CalibrationError, MeasurementError
+from rgbd_dic_acquisition.calibration import Calibration, Camera, pixel_rays
+from rgbd_dic_acquisition.errors import CalibrationError, ImageError, MeasurementError
 
 from .geometry import Plane, apply_homography
 from .msac import msac
+from .plane_uncertainty import block_covariance, systematic_covariance
 from .regions import Regions, polygon_mask
 from .settings import PlaneSettings
 from .status import FrameStatus
@@ -30,6 +31,9 @@ VIEW_LIMIT_S = 0.25  # a ToF frame farther than this from every image has no vie
 class PlaneEstimate:
     """The plane of one ToF frame, or why there is none.
 
+    plane: its covariance is what other frames do not share: noise, and the shape of the panel as it is seen.
+    systematic: (4, 4), covariance of the plane from the sensor's accuracy, which frames from the same place share; the
+    two add up to how far the plane is from the true one. None if not known.
     step_m, u_step_m: how far the panel's right side lies behind its left side at the crack, along the normal, and the
     standard uncertainty of that; from a plane through each side. NaN without a crack or with too few points.
     """
@@ -43,6 +47,32 @@ class PlaneEstimate:
     residual_rms_m: float = math.nan
     step_m: float = math.nan
     u_step_m: float = math.nan
+    systematic: Array | None = None
+
+    @property
+    def accuracy(self) -> float:
+        """Relative standard uncertainty of the distance that all frames share; 0 if not known."""
+        if self.plane is None or self.systematic is None:
+            return 0.0
+        return math.sqrt(self.systematic[3, 3]) / -self.plane.d
+
+
+def cloud_of_depth(depth_m: NDArray[np.float32], tof: Camera, rays: Array | None = None) -> Array:
+    """Points (N, 3) [m] in the frame of a ToF sensor, from its depth image (rows, cols) [m], NaN invalid.
+
+    Args:
+        rays: (rows, cols, 3) of the sensor, if they are known already.
+
+    Raises:
+        ImageError: if it is not of the calibrated size.
+    """
+    if depth_m.shape != (tof.height, tof.width):
+        raise ImageError(
+            f"depth image is {depth_m.shape[1]} x {depth_m.shape[0]} px, calibrated are {tof.width} x {tof.height} px"
+        )
+    valid = np.isfinite(depth_m)
+    rays = pixel_rays(tof) if rays is None else rays
+    return rays[valid] * depth_m[valid, None].astype(float)
 
 
 def fit_plane(points_m: Array, settings: PlaneSettings) -> tuple[Plane, NDArray[np.bool_], float]:
@@ -81,18 +111,16 @@ def fit_plane(points_m: Array, settings: PlaneSettings) -> tuple[Plane, NDArray[
         settings.max_residual_m,
         MSAC_TRIALS,
     )
-    weights = np.ones(len(z))
+    weights, errors = np.ones(len(z)), depth_errors(pi)
     for _ in range(20):
-        errors = depth_errors(pi)
         near = errors <= settings.max_residual_m
         sigma = max(1.4826 * float(np.median(errors[near])), LEAST_SIGMA_M)
         weights = np.where(near, np.clip(1 - (errors / (4.685 * sigma)) ** 2, 0, None) ** 2, 0)
         refined = solve(slice(None), weights)
         if refined is None:
             raise MeasurementError("the ToF points do not span a plane")
-        change = np.abs(depth_errors(refined) - errors).max()
-        pi = refined
-        if change < 1e-7:
+        before, pi, errors = errors, refined, depth_errors(refined)
+        if np.abs(errors - before).max() < 1e-7:
             break
     inliers = weights > 0
     share = inliers.mean()
@@ -105,13 +133,14 @@ def fit_plane(points_m: Array, settings: PlaneSettings) -> tuple[Plane, NDArray[
     rms = float(np.sqrt(np.mean(residuals[inliers] ** 2)))
     if rms > settings.max_residual_m:
         raise MeasurementError(f"plane residual {rms * 1e3:.1f} mm RMS is above {settings.max_residual_m * 1e3:.1f} mm")
-    # Huber 1981, 7.6: the covariance of an M-estimate with psi(r) = r w(r), here Tukey's
+    # Huber 1981, 6.3: the scores of an M-estimate with psi(r) = r w(r), here Tukey's, and their derivative
     u2 = np.square(residuals[inliers] / (4.685 * sigma))
     slope = np.mean((1 - u2) * (1 - 5 * u2))
-    variance = np.sum(np.square(weights * residuals)) / max(inliers.sum() - 3, 1) / slope**2
-    variance = max(variance, LEAST_SIGMA_M**2)
     design = rays[inliers] * scale[inliers, None]
-    covariance = variance * np.linalg.inv(design.T @ design)
+    scores = design * (weights * residuals)[inliers, None]
+    information = design.T @ design
+    covariance = block_covariance(rays[inliers], scores, slope * information)
+    covariance += LEAST_SIGMA_M**2 * np.linalg.inv(information)
     return Plane.from_inverse_depth(pi, covariance), inliers, rms
 
 
@@ -144,15 +173,10 @@ class PanelPlane:
             raise CalibrationError("the calibration has no 'tof': depth images need its intrinsics and extrinsics")
         points = None
         if depth_m is not None:
-            tof = self._calibration.tof
-            if depth_m.shape != (tof.height, tof.width):
-                reason = (
-                    f"depth image is {depth_m.shape[1]} x {depth_m.shape[0]} px, calibrated are "
-                    f"{tof.width} x {tof.height} px"
-                )
-            else:
-                valid = np.isfinite(depth_m)
-                points = self._rays[valid] * depth_m[valid, None].astype(float)
+            try:
+                points = cloud_of_depth(depth_m, self._calibration.tof, self._rays)
+            except ImageError as error:
+                reason = str(error)
         return self.add_points(stamp_ns, points, reason)
 
     def add_points(self, stamp_ns: int, points_m: Array | None, reason: str = "") -> list[PlaneEstimate]:
@@ -189,7 +213,7 @@ class PanelPlane:
         view = min(self._views, key=lambda entry: abs(entry[0] - stamp_ns), default=None)
         if view is None or abs(view[0] - stamp_ns) > VIEW_LIMIT_S * 1e9 or view[1] is None:
             return PlaneEstimate(stamp_ns, FrameStatus.NO_PLANE, "no image near it in which the panel was found")
-        on_panel, reference_px = self._panel_points(points_m, view[1])
+        on_panel, reference_px = self.select(points_m, view[1])
         if len(on_panel) < self._settings.min_points:
             return PlaneEstimate(
                 stamp_ns,
@@ -202,8 +226,18 @@ class PanelPlane:
         except MeasurementError as error:
             return PlaneEstimate(stamp_ns, FrameStatus.NO_PLANE, str(error), points=len(on_panel))
         step_m, u_step_m = self._step(on_panel, reference_px, plane)
+        sensor_m = self._calibration.t_camera_tof
         return PlaneEstimate(
-            stamp_ns, FrameStatus.OK, "", plane, len(on_panel), int(inliers.sum()), rms, step_m, u_step_m
+            stamp_ns,
+            FrameStatus.OK,
+            "",
+            plane,
+            len(on_panel),
+            int(inliers.sum()),
+            rms,
+            step_m,
+            u_step_m,
+            systematic_covariance(on_panel[inliers], plane, sensor_m, self._settings),
         )
 
     def _step(self, points_m: Array, reference_px: Array, plane: Plane) -> tuple[float, float]:
@@ -226,8 +260,11 @@ class PanelPlane:
             variance += by_plane @ of_side.covariance @ by_plane
         return offsets[1] - offsets[0], math.sqrt(variance)
 
-    def _panel_points(self, points_m: Array, homography: Array) -> tuple[Array, Array]:
-        """The points whose projection (Eq. 4.1) falls into the panel region of the reference.
+    def select(self, points_m: Array, homography: Array) -> tuple[Array, Array]:
+        """The points of a ToF cloud (N, 3) [m] whose projection (Eq. 4.1) falls into the panel region of the reference.
+
+        Args:
+            homography: reference -> image, in ideal pixels.
 
         Returns:
             They in the camera frame (N, 3) [m], and where they lie in the raw reference image (N, 2) [px].

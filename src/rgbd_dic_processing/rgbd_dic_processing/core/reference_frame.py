@@ -50,6 +50,7 @@ class ReferenceFrame:
         self._planes = ReferencePlane(camera, settings.robust_sigmas)
         self._carried = CarriedPlanes(settings.plane_window_s)
         self._motion, self._delay = PanelMotion(), DelayEstimate()
+        self._accuracy: float | None = None  # of the sensor, relative to the distance
 
     def homography(self, field: SubsetField) -> Array:
         """(3, 3), ideal pixels of the reference -> of an image."""
@@ -74,6 +75,8 @@ class ReferenceFrame:
         """
         near = abs(frame.pair.depth_offset_s) <= self.settings.carry_offset_s or self._planes.first is None
         if near and not self._planes.knows(frame.plane.stamp_ns):
+            if self._accuracy is None:
+                self._accuracy = frame.plane.accuracy
             try:
                 self._planes.add(
                     frame.plane.stamp_ns, plane, self.ideal_px[fixed], moved_px, sigma_px, self.homography(frame.field)
@@ -166,7 +169,7 @@ class ReferenceFrame:
             sigma.astype(np.float32),
             _modes(compensation, realignment, self.ideal_px),
             self._zone_coupling(compensation.coupling, per_x, per_y),
-            float(-plane.d * np.sqrt(pi_variance)),
+            float(np.hypot(-plane.d * np.sqrt(pi_variance), self._accuracy)),
             u_step_m,
             compensation.residual_px,
             frame.field.image_received_ns,

@@ -180,22 +180,33 @@ def polygon_mask(polygon_px: Array, width: int, height: int) -> Mask:
     return mask.astype(bool)
 
 
+def read_entries(path: Path | str) -> dict[str, Any]:
+    """The entries of regions.yaml as they stand there, which may be without a panel.
+
+    Raises:
+        RegionsError: if the file cannot be read, or has an entry that is not known.
+    """
+    try:
+        content = yaml.safe_load(Path(path).read_text())
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise RegionsError(f"cannot read regions {path}: {error}") from error
+    if not isinstance(content, dict):
+        raise RegionsError(f"{path}: needs an entry 'panel' (see docs/files.md)")
+    unknown = sorted(set(content) - {"panel", "fixed", "x_axis", "crack"})
+    if unknown:
+        raise RegionsError(f"{path}: unknown entry {', '.join(unknown)}; known are panel, fixed, x_axis, crack")
+    return content
+
+
 def load_regions(path: Path | str) -> Regions:
     """Read regions.yaml.
 
     Raises:
         RegionsError: naming the file, the entry and what is wrong with it.
     """
-    path = Path(path)
-    try:
-        content = yaml.safe_load(path.read_text())
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise RegionsError(f"cannot read regions {path}: {error}") from error
-    if not isinstance(content, dict) or "panel" not in content:
+    content = read_entries(path)
+    if "panel" not in content:
         raise RegionsError(f"{path}: needs an entry 'panel' (see docs/files.md)")
-    unknown = sorted(set(content) - {"panel", "fixed", "x_axis", "crack"})
-    if unknown:
-        raise RegionsError(f"{path}: unknown entry {', '.join(unknown)}; known are panel, fixed, x_axis, crack")
     try:
         return Regions(
             panel=_points(content["panel"], "panel", least=3),

@@ -12,6 +12,7 @@ from rgbd_dic_acquisition.errors import SettingsError
 from rgbd_dic_acquisition.settings import Settings, setting
 
 from .correlation import CorrelationSettings
+from .panel_finding import PanelFindingSettings
 
 
 @dataclass(frozen=True)
@@ -105,6 +106,20 @@ class PlaneSettings(Settings):
     max_residual_m: float = setting(
         0.03, unit="m", low=0.0005, high=1.0, doc="Largest residual RMS of a plane that is believed."
     )
+    systematic_m: float = setting(
+        0.004,
+        unit="m",
+        low=0.0,
+        high=0.1,
+        doc="Accuracy of the ToF sensor: standard uncertainty of its distances that frames share.",
+    )
+    systematic_length_m: float = setting(
+        0.1,
+        unit="m",
+        low=0.001,
+        high=100.0,
+        doc="Difference in distance over which half of its variance changes.",
+    )
 
 
 @dataclass(frozen=True)
@@ -170,6 +185,7 @@ class ProcessingSettings:
     renewal: RenewalSettings = field(default_factory=RenewalSettings)
     pairing: PairingSettings = field(default_factory=PairingSettings)
     plane: PlaneSettings = field(default_factory=PlaneSettings)
+    panel_finding: PanelFindingSettings = field(default_factory=PanelFindingSettings)
     compensation: CompensationSettings = field(default_factory=CompensationSettings)
     crack: CrackSettings = field(default_factory=CrackSettings)
 

@@ -52,6 +52,7 @@ def plane_message(make: MessageFactory, estimate: PlaneEstimate, frame_id: str) 
     plane = estimate.plane
     coefficients = np.full(4, np.nan) if plane is None else np.append(plane.normal, plane.d)
     covariance = np.full(16, np.nan) if plane is None else plane.covariance.ravel()
+    systematic = np.full(16, np.nan) if estimate.systematic is None else estimate.systematic.ravel()
     return make(
         "rgbd_dic_msgs/msg/PlaneStamped",
         header=header_message(make, estimate.stamp_ns, frame_id),
@@ -59,6 +60,7 @@ def plane_message(make: MessageFactory, estimate: PlaneEstimate, frame_id: str) 
         reason=estimate.reason,
         plane=make("shape_msgs/msg/Plane", coef=coefficients),
         covariance=covariance,
+        systematic_covariance=systematic,
         points=int(estimate.points),
         inliers=int(estimate.inliers),
         residual_rms=float(estimate.residual_rms_m),
@@ -71,6 +73,7 @@ def plane_from_message(msg: Any) -> PlaneEstimate:
     status = FrameStatus(msg.status.value)
     coefficients = np.array(msg.plane.coef, float)
     plane = Plane(coefficients[:3], float(coefficients[3]), np.array(msg.covariance, float).reshape(4, 4))
+    systematic = np.array(msg.systematic_covariance, float).reshape(4, 4)
     return PlaneEstimate(
         stamp_to_ns(msg.header.stamp),
         status,
@@ -81,6 +84,7 @@ def plane_from_message(msg: Any) -> PlaneEstimate:
         float(msg.residual_rms),
         float(msg.step),
         float(msg.u_step),
+        None if np.isnan(systematic).any() else systematic,
     )
 
 
