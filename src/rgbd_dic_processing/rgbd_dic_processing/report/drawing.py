@@ -24,6 +24,7 @@ BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
 BLUE, VERMILION, PURPLE = "#0072B2", "#D55E00", "#CC79A7"
 LINES = {
     "h_pose": {"color": BLUE, "linestyle": "-"},
+    "h_joint": {"color": SKY, "linestyle": (0, (5, 1))},
     "h_3d": {"color": VERMILION, "linestyle": "--"},
     "h_2d": {"color": GREEN, "linestyle": "-."},
     "pc_3d": {"color": PURPLE, "linestyle": ":", "linewidth": 1.7},

@@ -13,6 +13,7 @@ from ..geometry import Plane, rigid_transform, skew
 from ..msac import msac
 from ..settings import CompensationSettings
 from ..uncertainty import independent_modes, linear_modes
+from .h_joint import pose_beside_deformation
 from .motion import FrameView
 
 Array = NDArray[np.float64]
@@ -24,7 +25,8 @@ class RigidFit:
     """R, t of X' = R X + t; the subsets used; and the fit again for each independent error.
 
     Each of `modes` is (pose, reference plane, plane) with one error of one standard deviation: of the DIC centres, of
-    the reference's plane, of this frame's plane. `coupling` is that of `Compensation`.
+    the reference's plane, of this frame's plane, and of what a deformation of the fixed region does to the pose.
+    `coupling` is that of `Compensation`.
     """
 
     pose: Pose
@@ -59,7 +61,11 @@ def fit_rigid(view: FrameView, settings: CompensationSettings) -> RigidFit:
             f"rigid fit: {inliers.sum()} subsets of the fixed region agree, at least {settings.min_subsets} needed"
         )
     used = view.fixed[inliers]
-    return RigidFit(pose, used, *_modes(view, pose, used))
+    modes, coupling = _modes(view, pose, used)
+    likely = pose_beside_deformation(view, settings)
+    if likely is not None:
+        modes += ((likely, view.reference_plane, view.reference_plane.moved(*likely)),)
+    return RigidFit(pose, used, modes, coupling)
 
 
 def _modes(view: FrameView, pose: Pose, used: NDArray[np.intp]) -> tuple[tuple[tuple[Pose, Plane, Plane], ...], Array]:
