@@ -29,6 +29,7 @@ MAX_ITERATIONS = 20
 SETTLING = 5  # iterations in which the misfit and the strains are estimated along
 CONVERGED_PX = 1e-5  # RMS change of the reprojection at which the iteration ends
 STRAIN_ITERATIONS = 30  # of the strains, in each of them
+CONCENTRATED = 4.0  # a real field puts its energy into few of the coefficients: a quarter of them is taken to carry it
 LEAST_STRAIN = 1e-8  # a panel is not believed to be stiffer
 POOLED = 0.3  # how much the strain of all degrees counts in that of each, as a part of its number of coefficients
 
@@ -145,7 +146,7 @@ def fit_joint(view: FrameView, settings: CompensationSettings) -> JointFit:
         (R, t), c = displaced((R, t), solution[:POSE]), solution[POSE:]
         if not settling and np.sqrt(np.mean(np.square(step @ flat))) < CONVERGED_PX:
             gain = np.tensordot(covariance[:POSE], weighted, 1)
-            confounded = (covariance @ prior @ covariance)[:POSE, :POSE]
+            confounded = CONCENTRATED * (covariance @ prior @ covariance)[:POSE, :POSE]
             return JointFit((R, t), used, c, strains, gain, confounded, residual, misfit_px)
     raise MeasurementError("h_joint: pose and deformation of the fixed region did not converge")
 
