@@ -15,7 +15,7 @@ from rgbd_dic_processing.summary import footprint_m
 from rosbags.rosbag2 import Reader
 from system import SAMPLE, rgbd_dic
 
-METHODS = ("h_pose", "h_3d", "h_2d", "pc_3d")
+METHODS = ("h_pose", "h_joint", "h_3d", "h_2d", "pc_3d")
 pytestmark = pytest.mark.timeout(280)
 
 

@@ -15,7 +15,7 @@ def test_same_bytes_for_any_thread_count(flight: Path, tmp_path: Path) -> None:
         assert done.returncode == 0, done.stderr
         outputs.append((tmp_path / name / "crack_opening.csv").read_bytes())
     assert outputs[0] == outputs[1] == outputs[2]
-    assert outputs[0].count(b"\n") == 1 + 4 * 30
+    assert outputs[0].count(b"\n") == 1 + 5 * 30
 
 
 def test_help_names_units_and_defaults() -> None:
