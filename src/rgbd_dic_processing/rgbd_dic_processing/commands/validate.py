@@ -26,8 +26,9 @@ def add_parser(commands: Any) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    from ..validation.chapter3 import FULL, QUICK, run_chapter3
-    from ..validation.presentation import TABLES, write_chapter3
+    from ..validation.chapter3.chapter import FULL, QUICK, run_chapter3
+    from ..validation.chapter3.presentation import write_chapter3
+    from ..validation.page import TABLES
 
     workers = options.workers or os.cpu_count() or 1
     with progress(None, "part") as bar:
