@@ -18,7 +18,8 @@ from ...core.regions import CrackZones, Regions
 from ...core.settings import ProcessingSettings
 from .planes import RecordedPlanes, Settled
 from .recording import load_recording, regions_file
-from .scenes import Values, open_laboratory, regions_of
+from .regions import regions_of
+from .scenes import Values, open_laboratory
 
 Array = NDArray[np.float64]
 
@@ -54,8 +55,12 @@ def measure(
         if not opening.valid:
             reasons.append(f"{opening.status.name}: {opening.reason}")
         truth_m = lab.displacement(*material.T, time_s)
-        rows.append([time_s, *_opening_row(opening, field, truth_m, regions.crack), *map_error_px(lab, field, truth_m, regions)])
-    return {"reasons": reasons} | {name: column for name, column in zip(HISTORY, np.transpose(rows).tolist(), strict=True)}
+        rows.append(
+            [time_s, *_opening_row(opening, field, truth_m, regions.crack), *map_error_px(lab, field, truth_m, regions)]
+        )
+    return {"reasons": reasons} | {
+        name: column for name, column in zip(HISTORY, np.transpose(rows).tolist(), strict=True)
+    }
 
 
 def maps(
