@@ -11,7 +11,7 @@ from ...core.displacement import SOLVERS
 from ..running import Progress, Task, run_tasks
 from . import measuring, planes, stereo
 from .budget import SOURCES, field_with, laboratory_with
-from .errors import History
+from .errors import CrackHistory
 from .recording import recording_task
 from .regions import REGIONS, usual_region
 from .scenes import Values, laboratory_values
@@ -45,7 +45,7 @@ class Scope:
         return tuple(field for field in self.fields if usual_region(field) == "whole")
 
 
-FULL = Scope(("beam", "plate", "rigid_half"), (1, 2, 3, 4, 5), 5.0, 1.0, (1, 2), (1, 2), 2.0, tuple(SOURCES))
+FULL = Scope(("beam", "plate", "rigid_half"), (1, 2, 3, 4, 5), 5.0, 1.0, (1, 2), (1,), 2.0, tuple(SOURCES))
 QUICK = Scope(("beam", "rigid_half"), (1,), 2.0, 0.5, (1,), (1,), 0.5, ("none", "ToF noise", "all"))
 BUDGET_SCALE = 0.5
 
@@ -55,19 +55,19 @@ class Chapter4:
     """All that was measured.
 
     histories: (field, seed, method, region) -> history; budget: (source, seed, method) -> history; rolled: (axes,
-    method) -> history in the laboratory `MAPPED`; stereo: (field, seed) -> what the simulated 3D DIC measured; maps: method ->
-    displacements at the widest opening of `MAPPED`. recordings: (field, seed) -> name in the run's folder.
+    method) -> history in the laboratory `MAPPED`; stereo: (field, seed) -> what the simulated 3D DIC measured; maps:
+    method -> displacements at the widest opening of `MAPPED`. recordings: (field, seed) -> name in the run's folder.
     """
 
     scope: Scope
-    histories: dict[tuple[str, int, str, str], History]
-    budget: dict[tuple[str, int, str], History]
-    rolled: dict[tuple[str, str], History]
+    histories: dict[tuple[str, int, str, str], CrackHistory]
+    budget: dict[tuple[str, int, str], CrackHistory]
+    rolled: dict[tuple[str, str], CrackHistory]
     stereo: dict[tuple[str, int], dict[str, Any]]
     maps: dict[str, dict[str, Any]]
     recordings: dict[tuple[str, int], str]
 
-    def of(self, field: str, method: str, region: str | None = None) -> list[History]:
+    def of(self, field: str, method: str, region: str | None = None) -> list[CrackHistory]:
         """Of all seeds that were run, with the usual region or another."""
         region = region or usual_region(field)
         return [
@@ -149,7 +149,7 @@ def run_chapter4(folder: Path, scope: Scope, workers: int = 2, progress: Progres
         }
     )
     references = run({key: Task(stereo.history, {"laboratory": values}) for key, values in labs.items()})
-    widest_s = History(histories[(*MAPPED, METHODS[0], region)]).widest_s
+    widest_s = CrackHistory(histories[(*MAPPED, METHODS[0], region)]).widest_s
     maps = run(
         {
             method: Task(measuring.maps, inputs[MAPPED] | {"method": method, "region": region, "time_s": widest_s})
@@ -158,9 +158,9 @@ def run_chapter4(folder: Path, scope: Scope, workers: int = 2, progress: Progres
     )
     return Chapter4(
         scope,
-        {key: History(entry) for key, entry in histories.items()},
-        {key: History(entry) for key, entry in budget.items()},
-        {key: History(entry) for key, entry in rolled.items()},
+        {key: CrackHistory(entry) for key, entry in histories.items()},
+        {key: CrackHistory(entry) for key, entry in budget.items()},
+        {key: CrackHistory(entry) for key, entry in rolled.items()},
         references,
         maps,
         {key: recorded[key] for key in labs},

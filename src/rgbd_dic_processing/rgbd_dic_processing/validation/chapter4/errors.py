@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 COMPONENTS = ("opening", "sliding")
 
 
-class History:
+class CrackHistory:
     """Columns of a result of `measuring.measure` as arrays (N,), one value an image; mm, but maps in px.
 
     The reference itself, where all is zero by definition, counts for nothing.

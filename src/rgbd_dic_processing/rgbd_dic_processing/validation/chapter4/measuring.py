@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 from rgbd_dic_acquisition.simulator.laboratory import Laboratory
 
-from ...core.crack import CrackOpening
 from ...core.displacement_field import DisplacementField
 from ...core.pipeline import Measurement, Pipeline
 from ...core.regions import CrackZones, Regions
 from ...core.settings import ProcessingSettings
+from .errors import rms
 from .planes import RecordedPlanes, Settled
 from .recording import load_recording, regions_file
 from .regions import regions_of
@@ -55,12 +55,10 @@ def measure(
         if not opening.valid:
             reasons.append(f"{opening.status.name}: {opening.reason}")
         truth_m = lab.displacement(*material.T, time_s)
-        rows.append(
-            [time_s, *_opening_row(opening, field, truth_m, regions.crack), *map_error_px(lab, field, truth_m, regions)]
-        )
-    return {"reasons": reasons} | {
-        name: column for name, column in zip(HISTORY, np.transpose(rows).tolist(), strict=True)
-    }
+        values = (opening.opening_m, opening.sliding_m, opening.u_opening_m, opening.u_sliding_m)
+        values_mm = 1e3 * np.array([*values, *_true_jump_m(field, truth_m, regions.crack)])
+        rows.append([time_s, *values_mm, *_map_rms_px(lab, field, truth_m, regions)])
+    return {"reasons": reasons} | dict(zip(HISTORY, np.transpose(rows).tolist(), strict=True))
 
 
 def maps(
@@ -107,18 +105,19 @@ def replay(
     yield from ((times[one.field.stamp_ns], one) for one in pipeline.flush())
 
 
-def _opening_row(opening: CrackOpening, field: DisplacementField, truth_m: Array, crack: CrackZones) -> list[float]:
-    """Measured, stated and true [mm]; the truth is the mean over the subsets that were found."""
+def _true_jump_m(field: DisplacementField, truth_m: Array, crack: CrackZones) -> Array:
+    """(2,) opening and sliding of the very subsets that were found in the zones; of all, if nothing was measured."""
     found = np.isfinite(field.displacement_m[:, 0])
-    left, right = (truth_m[zone[found[zone]]].mean(axis=0) for zone in crack.members(field.centres_px.astype(float)))
-    values = (opening.opening_m, opening.sliding_m, opening.u_opening_m, opening.u_sliding_m, *(right - left)[:2])
-    return [1e3 * value for value in values]
+    zones = crack.members(field.centres_px.astype(float))
+    left, right = (truth_m[zone[found[zone]] if found[zone].any() else zone].mean(axis=0) for zone in zones)
+    return (right - left)[:2]
 
 
-def map_error_px(lab: Laboratory, field: DisplacementField, truth_m: Array, regions: Regions) -> list[float]:
+def _map_rms_px(lab: Laboratory, field: DisplacementField, truth_m: Array, regions: Regions) -> list[float]:
     """RMS over the panel of the error in x and in y, in pixels at the average distance."""
     pixel_m = lab.settings.motion.distance_m / lab.calibration.camera.fx
-    return (np.sqrt(np.nanmean(_map_error_m(field, truth_m, regions) ** 2, axis=0)) / pixel_m).tolist()
+    error = _map_error_m(field, truth_m, regions)
+    return [rms(error[:, axis]) / pixel_m for axis in (0, 1)]
 
 
 def _map_error_m(field: DisplacementField, truth_m: Array, regions: Regions) -> Array:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from ...page import Criterion
 from ..chapter import METHODS, Chapter4
-from ..errors import COMPONENTS, History
+from ..errors import COMPONENTS, CrackHistory
 
 THESIS_MM = {"h_3d": 0.038, "h_2d": 0.032}  # Table 4.6
 RIGID = ("h_pose", "h_joint")
@@ -23,7 +23,7 @@ def criteria(data: Chapter4) -> list[Criterion]:
     ]
 
 
-def worst(histories: list[History], component: str) -> float:
+def worst(histories: list[CrackHistory], component: str) -> float:
     """Largest RMS error of the seeds [mm]."""
     return max(history.rms(component) for history in histories)
 
@@ -33,7 +33,7 @@ def best_method(data: Chapter4) -> str:
     return min(METHODS, key=lambda method: worst(_of_all(data, method), "opening"))
 
 
-def _of_all(data: Chapter4, method: str) -> list[History]:
+def _of_all(data: Chapter4, method: str) -> list[CrackHistory]:
     return [history for field in data.scope.without_rigid_part for history in data.of(field, method)]
 
 

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.image import AxesImage
 from numpy.typing import NDArray
 
 from ....report.drawing import (
@@ -24,8 +27,6 @@ from ..regions import usual_region
 
 Array = NDArray[np.float64]
 
-ERROR_RANGE_PX = 0.2
-
 
 def draw(data: Chapter4, folder: Path) -> list[Picture]:
     """Write every figure that needs no more than the numbers of the run."""
@@ -44,14 +45,13 @@ def _maps(data: Chapter4, folder: Path) -> Picture:
     columns = ["true", *methods]
     figure = new_figure(2.9 * len(columns), 3.6)
     grid = figure.subplots(2, len(columns), sharex=True, sharey=True, squeeze=False)
-    grid[0][0].invert_yaxis()
     for axis, row in enumerate(grid):
         true = np.array(data.maps[methods[0]]["true"])[:, axis]
         low, high = np.nanpercentile(true - np.nanmean(true), (1, 99))
         for ax, name in zip(row, columns, strict=True):
             entry = data.maps[methods[0] if name == "true" else name]
             values = np.array(entry["true" if name == "true" else "measured"])[:, axis]
-            shown = _scatter(ax, entry, values - np.nanmean(values), low, high, "viridis")
+            shown = _draw_map(ax, entry, values - np.nanmean(values), low, high, "viridis")
             ax.set_title(f"{'xy'[axis]}, {name}", loc="left")
         figure.colorbar(shown, ax=row, label="[mm]", extend="both", shrink=0.9)
     _label_pixels(grid)
@@ -65,21 +65,21 @@ def _maps(data: Chapter4, folder: Path) -> Picture:
 
 def _map_errors(data: Chapter4, folder: Path) -> Picture:
     """What each method loses of the field."""
-    methods = method_order(METHODS)
-    figure = new_figure(2.7 * len(methods), 3.6)
+    methods = [method for method in method_order(METHODS) if method != "pc_3d"]
+    figure = new_figure(2.9 * len(methods), 3.6)
     grid = figure.subplots(2, len(methods), sharex=True, sharey=True, squeeze=False)
-    grid[0][0].invert_yaxis()
     for axis, row in enumerate(grid):
         limit = max(1e-3, *(np.nanpercentile(np.abs(np.array(data.maps[m]["error"])[:, axis]), 98) for m in _shown()))
         for ax, method in zip(row, methods, strict=True):
             values = np.array(data.maps[method]["error"])[:, axis]
-            shown = _scatter(ax, data.maps[method], values, -limit, limit, "RdYlBu_r")
+            shown = _draw_map(ax, data.maps[method], values, -limit, limit, "RdYlBu_r")
             ax.set_title(f"{'xy'[axis]}, {method}: RMS {np.sqrt(np.nanmean(values**2)):.4f} mm", loc="left")
         figure.colorbar(shown, ax=row, label="error [mm]", extend="both", shrink=0.9)
     _label_pixels(grid)
     caption = (
         "Measured minus true displacement [mm] of the same image, up to a rigid motion of the panel in its plane: what "
-        "each method loses of the field. Subsets that see both sides of the crack are left out."
+        "each method loses of the field. In the plane `pc_3d` is as `h_3d`. Subsets that see both sides of the "
+        "crack are left out."
     )
     return save(figure, folder / "chapter4_map_errors.png", caption, "Maps of the error of each method.")
 
@@ -134,13 +134,21 @@ def _budget(data: Chapter4, folder: Path) -> Picture:
     axes = figure.subplots(1, 2, sharey=True, sharex=True)
     marks = dict(zip(method_order(METHODS), "osD^v<>", strict=False))
     for ax, component in zip(axes, COMPONENTS, strict=True):
-        for method, mark in marks.items():
+        for shift, (method, mark) in zip(np.linspace(-0.2, 0.2, len(marks)), marks.items(), strict=True):
             values = [
                 np.sqrt(np.mean([data.budget[s, seed, method].rms(component) ** 2 for seed in data.scope.budget_seeds]))
                 for s in sources
             ]
             color = line_of(method)["color"]
-            ax.plot(values, range(len(sources)), mark, color=color, markersize=5, markerfacecolor="none", label=method)
+            ax.plot(
+                values,
+                np.arange(len(sources)) + shift,
+                mark,
+                color=color,
+                markersize=5,
+                markerfacecolor="none",
+                label=method,
+            )
         ax.set_xscale("log")
         ax.grid(axis="both", linewidth=0.4, alpha=0.5)
         ax.set_title(component, loc="left")
@@ -156,11 +164,14 @@ def _budget(data: Chapter4, folder: Path) -> Picture:
     return save(figure, folder / "chapter4_budget.png", caption, "RMS error of each error source alone.")
 
 
-def _scatter(ax, entry: dict, values: Array, low: float, high: float, colours: str):
-    x, y = np.array(entry["centres_px"]).T
-    ax.set_aspect("equal")
-    size = 3.0 * (np.median(np.diff(np.unique(x))) / 10) ** 2 if len(x) > 4000 else 6.0
-    return ax.scatter(x, y, c=values, s=size, marker="s", cmap=colours, vmin=low, vmax=high, linewidths=0)
+def _draw_map(ax: Axes, entry: dict[str, Any], values: Array, low: float, high: float, colours: str) -> AxesImage:
+    """Values (N,) of the subsets, a cell each."""
+    (xs, column), (ys, row) = (np.unique(line, return_inverse=True) for line in np.array(entry["centres_px"]).T)
+    cells = np.full((len(ys), len(xs)), np.nan)
+    cells[row, column] = values
+    half = (xs[1] - xs[0]) / 2
+    extent = (xs[0] - half, xs[-1] + half, ys[-1] + half, ys[0] - half)
+    return ax.imshow(cells, extent=extent, cmap=colours, vmin=low, vmax=high, interpolation="nearest")
 
 
 def _label_pixels(grid: NDArray) -> None:

@@ -62,7 +62,7 @@ def _image(lab: Laboratory, regions_path: Path, into: Path) -> Picture:
     right.set_xlim(crack.point[0] - reach, crack.point[0] + reach)
     right.set_ylim(crack.point[1] + reach, crack.point[1] - reach)
     right.set_title("measuring zones", loc="left")
-    right.legend(loc="lower left", labelcolor="white", fontsize=8)
+    right.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
     caption = (
         "Figures 4.8, 4.12, 4.13 and 4.17: the first image with the regions that the motion is estimated from, and the "
         "measuring zones beside the crack."

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...page import NONE, criteria_table, table
 from ..chapter import BUDGET_SCALE, MAPPED, METHODS, ROLLS, Chapter4
-from ..errors import COMPONENTS, History
+from ..errors import COMPONENTS, CrackHistory
 from ..regions import REGIONS, usual_region
 from .criteria import THESIS_MM, criteria
 
@@ -18,6 +18,7 @@ REGION_WORDS = {"near": "near the crack", "half": "left half", "whole": "whole p
 def tables(data: Chapter4) -> dict[str, str]:
     """All that the run can fill."""
     return {
+        "facts": facts(data),
         "criteria": criteria_table(criteria(data)),
         "thesis": _as_in_the_thesis(data),
         "openings": _openings(data),
@@ -94,7 +95,7 @@ def _maps(data: Chapter4) -> str:
 
 
 def _budget(data: Chapter4) -> str:
-    def cells(source: str, value: Callable[[History], float]) -> list[str]:
+    def cells(source: str, value: Callable[[CrackHistory], float]) -> list[str]:
         of_methods = [[data.budget[source, seed, method] for seed in data.scope.budget_seeds] for method in METHODS]
         return [f"{1e3 * np.sqrt(np.mean([value(h) ** 2 for h in histories])):.2f}" for histories in of_methods]
 
@@ -115,7 +116,7 @@ def _axes(data: Chapter4) -> str:
     return table((f"`{field}`, seed {seed}", "RMS error [mm]", *_names()), rows)
 
 
-def _mean_and_worst(histories: Sequence[History], component: str) -> str:
+def _mean_and_worst(histories: Sequence[CrackHistory], component: str) -> str:
     values = [history.rms(component) for history in histories]
     return f"{np.mean(values):.4f} ({max(values):.4f})"
 
