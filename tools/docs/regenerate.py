@@ -29,6 +29,7 @@ PICTURES = {  # docs/images <- what made it, and the file there
         for chapter, names in (
             ("chapter3", ("images", "averages", "rms", "trends", "cracks", "maps_2_5", "maps_2_6", "oblique")),
             ("chapter4", ("image", "cloud", "shape", "maps", "map_errors", "history", "budget")),
+            ("chapter4", ("alignment", "correlation", "spectra", "zone_sensitivity")),
         )
         for name in names
     },
@@ -108,7 +109,7 @@ FROM_RUN: dict[str, dict[str, Callable[[], str | None]]] = {
     },
     "docs/validation_chapter4.md": {
         name: chapter_table("chapter4", name)
-        for name in ("facts", "criteria", "thesis", "openings", "regions", "maps", "budget", "axes")
+        for name in ("facts", "criteria", "thesis", "openings", "aligned", "regions", "maps", "budget", "axes")
     },
 }
 PROCESSING_YAML = ROOT / "src/rgbd_dic_processing/config/processing.yaml"

@@ -8,7 +8,7 @@ from rgbd_dic_processing.core.pipeline import Pipeline
 from rgbd_dic_processing.core.regions import load_regions
 from rgbd_dic_processing.core.settings import ProcessingSettings
 from rgbd_dic_processing.validation.chapter4.budget import EVERY, SOURCES, laboratory_with
-from rgbd_dic_processing.validation.chapter4.chapter import MAPPED, METHODS, QUICK, run_chapter4
+from rgbd_dic_processing.validation.chapter4.chapter import METHODS, QUICK, ROLLS, run_chapter4
 from rgbd_dic_processing.validation.chapter4.errors import CrackHistory
 from rgbd_dic_processing.validation.chapter4.measuring import replay
 from rgbd_dic_processing.validation.chapter4.planes import fit_planes
@@ -19,6 +19,8 @@ from rgbd_dic_processing.validation.chapter4.scenes import laboratory_values, op
 from rgbd_dic_processing.validation.digests import digest_of_code
 from rgbd_dic_processing.validation.running import run_tasks
 
+SCENE = ("image", "cloud", "shape")
+RUN = ("maps", "map_errors", "history", "alignment", "correlation", "spectra", "zone_sensitivity", "budget")
 SHORT = laboratory_values("rigid_half", seed=1, duration_s=0.15, scale=0.25)
 
 
@@ -41,12 +43,12 @@ def recording(folder):
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_rigid_half_gives_the_exact_opening(quick):
-    """Images of half the size have pixels twice as large: twice the 0.003 mm that the full ones are asked for."""
+    """Images of 0.4 times the size have pixels 2.5 times as large: so many times the 0.003 mm that is asked for."""
     for method in ("h_pose", "h_2d"):
         (history,) = quick.of("rigid_half", method)
         assert history.valid == 1
-        assert history.rms("opening") <= 0.006
-        assert history.rms("sliding") <= 0.006
+        assert history.rms("opening") <= 0.0075
+        assert history.rms("sliding") <= 0.0075
 
 
 @pytest.mark.slow
@@ -74,13 +76,11 @@ def test_h_2d_loses_a_part_of_the_opening_without_a_rigid_part(quick):
 @pytest.mark.timeout(900)
 def test_axes_of_the_panel_do_not_matter_but_those_of_the_crack(quick):
     for method in METHODS:
-        drawn, panel, _, crack = (
-            quick.rolled[name, method] for name in dict.fromkeys(name for name, _ in quick.rolled)
-        )
+        drawn, panel, _, crack = (quick.rolled[name, method] for name in ROLLS)
         np.testing.assert_allclose(panel.columns["opening"], drawn.columns["opening"], atol=1e-4)
         turn = np.radians(2.5)
         expected = drawn.columns["sliding"] * np.cos(turn) - drawn.columns["opening"] * np.sin(turn)
-        np.testing.assert_allclose(crack.columns["sliding"], expected, atol=2e-4)
+        np.testing.assert_allclose(crack.columns["sliding"], expected, atol=2e-4)  # a pixel is not square
 
 
 @pytest.mark.slow
@@ -90,7 +90,7 @@ def test_pages_are_written(quick, folder):
     assert len(reached) >= 10
     text = (folder / "pages" / "tables" / "thesis.md").read_text()
     assert "0.038" in text and "0.032" in text
-    for name in ("image", "cloud", "shape", "maps", "map_errors", "history", "budget"):
+    for name in (*SCENE, *RUN):
         assert (folder / "pages" / f"chapter4_{name}.png").stat().st_size > 10_000
 
 
@@ -100,7 +100,6 @@ def test_a_second_run_measures_nothing_anew(quick, folder):
     before = {path: path.stat().st_mtime_ns for path in (folder / "cache").iterdir()}
     run_chapter4(folder, QUICK)
     assert {path: path.stat().st_mtime_ns for path in (folder / "cache").iterdir()} == before
-    assert MAPPED in quick.recordings
 
 
 def test_a_replay_is_what_the_pipeline_measures(folder, recording):
@@ -119,7 +118,7 @@ def test_a_replay_is_what_the_pipeline_measures(folder, recording):
     direct += pipeline.flush()
     planes = fit_planes(folder, SHORT, recording)
     for method in ("h_pose", "h_3d"):
-        replayed = [one.opening for _, one in replay(folder, lab, recording, planes, regions, method, {})]
+        replayed = [one.opening for _, one in replay(folder, lab, recording, planes, regions, (method,), {})]
         assert [repr(o) for o in replayed] == [repr(one.opening) for one in direct if one.opening.method == method]
         assert any(opening.valid for opening in replayed[1:])
 

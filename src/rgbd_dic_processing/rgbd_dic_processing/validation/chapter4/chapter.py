@@ -9,7 +9,7 @@ from typing import Any
 
 from ...core.displacement import SOLVERS
 from ..running import Progress, Task, run_tasks
-from . import measuring, planes, stereo
+from . import alignment, example, measuring, planes
 from .budget import SOURCES, field_with, laboratory_with
 from .errors import CrackHistory
 from .recording import recording_task
@@ -18,11 +18,11 @@ from .scenes import Values, laboratory_values
 
 METHODS = tuple(SOLVERS)
 MAPPED = ("beam", 1)  # the laboratory whose maps and histories are drawn
-ROLLS: dict[str, dict[str, float]] = {  # axes drawn wrong [degrees]
+ROLLS: dict[str, dict[str, Any]] = {  # axes drawn wrong: arguments of `measuring.measure`
     "as drawn": {},
-    "x axis of the panel rolled by 2.5°": {"x_axis": 2.5},
-    "crack's direction rolled by 1°": {"crack": 1.0},
-    "crack's direction rolled by 2.5°": {"crack": 2.5},
+    "x axis of the panel rolled by 2.5°": {"roll_deg": {"x_axis": 2.5}},
+    "crack's direction rolled by 1°": {"roll_deg": {"crack": 1.0}},
+    "crack's direction rolled by 2.5°": {"roll_deg": {"crack": 2.5}},
 }
 
 
@@ -39,6 +39,10 @@ class Scope:
     budget_s: float
     sources: tuple[str, ...]
 
+    def laboratory(self, field: str, seed: int) -> Values:
+        """The settings of one."""
+        return laboratory_values(field, seed, self.duration_s, self.scale)
+
     @property
     def without_rigid_part(self) -> tuple[str, ...]:
         """The fields in which all of the panel deforms."""
@@ -46,7 +50,7 @@ class Scope:
 
 
 FULL = Scope(("beam", "plate", "rigid_half"), (1, 2, 3, 4, 5), 5.0, 1.0, (1, 2), (1,), 2.0, tuple(SOURCES))
-QUICK = Scope(("beam", "rigid_half"), (1,), 2.0, 0.5, (1,), (1,), 0.5, ("none", "ToF noise", "all"))
+QUICK = Scope(("beam", "rigid_half"), (1,), 3.0, 0.4, (1,), (1,), 0.5, ("none", "ToF noise", "all"))
 BUDGET_SCALE = 0.5
 
 
@@ -55,17 +59,16 @@ class Chapter4:
     """All that was measured.
 
     histories: (field, seed, method, region) -> history; budget: (source, seed, method) -> history; rolled: (axes,
-    method) -> history in the laboratory `MAPPED`; stereo: (field, seed) -> what the simulated 3D DIC measured; maps:
-    method -> displacements at the widest opening of `MAPPED`. recordings: (field, seed) -> name in the run's folder.
+    method) -> history in the laboratory `MAPPED`; aligned: (field, seed, method) -> result of `alignment.compare`.
+    example: folder of the run of `MAPPED`, in that of the validation.
     """
 
     scope: Scope
     histories: dict[tuple[str, int, str, str], CrackHistory]
     budget: dict[tuple[str, int, str], CrackHistory]
     rolled: dict[tuple[str, str], CrackHistory]
-    stereo: dict[tuple[str, int], dict[str, Any]]
-    maps: dict[str, dict[str, Any]]
-    recordings: dict[tuple[str, int], str]
+    aligned: dict[tuple[str, int, str], dict[str, Any]]
+    example: str
 
     def of(self, field: str, method: str, region: str | None = None) -> list[CrackHistory]:
         """Of all seeds that were run, with the usual region or another."""
@@ -85,7 +88,7 @@ def run_chapter4(folder: Path, scope: Scope, workers: int = 2, progress: Progres
         workers: processes.
         progress: called with (tasks done, tasks in all).
     """
-    labs = {(field, seed): _laboratory(scope, field, seed) for field in scope.fields for seed in scope.seeds}
+    labs = {(field, seed): scope.laboratory(field, seed) for field in scope.fields for seed in scope.seeds}
     alone = {
         (source, seed): laboratory_with(source, seed, scope.budget_s, BUDGET_SCALE)
         for source in scope.sources
@@ -100,8 +103,7 @@ def run_chapter4(folder: Path, scope: Scope, workers: int = 2, progress: Progres
         for region in REGIONS
         if region != usual_region(field)
     ]
-    total = 2 * (len(labs) + len(alone)) + len(labs)
-    total += len(usual) + len(others) + len(METHODS) * (len(alone) + len(ROLLS) + 1)
+    total = 2 * (len(labs) + len(alone)) + 2 * len(usual) + len(others) + len(METHODS) * (len(alone) + len(ROLLS)) + 1
     done = 0
 
     def run(tasks: dict[Any, Task]) -> dict[Any, Any]:
@@ -143,29 +145,25 @@ def run_chapter4(folder: Path, scope: Scope, workers: int = 2, progress: Progres
     region = usual_region(MAPPED[0])
     rolled = run(
         {
-            (name, method): measured(MAPPED, method=method, region=region, roll_deg=angles)
-            for name, angles in ROLLS.items()
+            (name, method): measured(MAPPED, method=method, region=region, **wrong)
+            for name, wrong in ROLLS.items()
             for method in METHODS
         }
     )
-    references = run({key: Task(stereo.history, {"laboratory": values}) for key, values in labs.items()})
-    widest_s = CrackHistory(histories[(*MAPPED, METHODS[0], region)]).widest_s
-    maps = run(
+    aligned = run(
         {
-            method: Task(measuring.maps, inputs[MAPPED] | {"method": method, "region": region, "time_s": widest_s})
-            for method in METHODS
+            (f, s, method): Task(
+                alignment.compare, {"laboratory": labs[f, s], "measured": histories[f, s, method, region]}
+            )
+            for f, s, method, region in usual
         }
     )
+    examples = run({MAPPED: example.process_task(**inputs[MAPPED], methods=list(METHODS), region=region)})
     return Chapter4(
         scope,
         {key: CrackHistory(entry) for key, entry in histories.items()},
         {key: CrackHistory(entry) for key, entry in budget.items()},
         {key: CrackHistory(entry) for key, entry in rolled.items()},
-        references,
-        maps,
-        {key: recorded[key] for key in labs},
+        aligned,
+        examples[MAPPED],
     )
-
-
-def _laboratory(scope: Scope, field: str, seed: int) -> Values:
-    return laboratory_values(field, seed, scope.duration_s, scope.scale)

@@ -48,7 +48,7 @@ def measure(
     lab = open_laboratory(laboratory)
     regions = _rolled(regions_of(lab, regions_file(folder, recording), region), roll_deg or {})
     material, rows, reasons = None, [], []
-    for time_s, measurement in replay(folder, lab, recording, planes, regions, method, settings or {}):
+    for time_s, measurement in replay(folder, lab, recording, planes, regions, (method,), settings or {}):
         field, opening = measurement.field, measurement.opening
         if material is None:
             material = lab.material(field.centres_px.astype(float), lab.reference_s)
@@ -61,38 +61,18 @@ def measure(
     return {"reasons": reasons} | dict(zip(HISTORY, np.transpose(rows).tolist(), strict=True))
 
 
-def maps(
-    folder: Path, laboratory: Values, recording: str, planes: Settled, method: str, region: str, time_s: float
-) -> dict[str, Any]:
-    """The displacement (N, 2) of the subsets [mm] in the image nearest to a time, and the true one."""
-    lab = open_laboratory(laboratory)
-    regions = regions_of(lab, regions_file(folder, recording), region)
-    every = list(replay(folder, lab, recording, planes, regions, method, {}))
-    at, measurement = min(every, key=lambda one: abs(one[0] - time_s))
-    field = measurement.field
-    centres = field.centres_px.astype(float)
-    truth_m = lab.displacement(*lab.material(centres, lab.reference_s).T, at)
-    return {
-        "time_s": at,
-        "centres_px": centres.tolist(),
-        "measured": (1e3 * field.displacement_m[:, :2]).tolist(),
-        "true": (1e3 * truth_m[:, :2]).tolist(),
-        "error": (1e3 * _map_error_m(field, truth_m, regions)).tolist(),
-    }
-
-
 def replay(
     folder: Path,
     lab: Laboratory,
     recording: str,
     planes: Settled,
     regions: Regions,
-    method: str,
+    methods: tuple[str, ...],
     settings: dict[str, dict[str, Any]],
 ) -> Iterator[tuple[float, Measurement]]:
     """The pipeline on recorded fields and planes: the true time of each image, and what was measured in it."""
     stages = ProcessingSettings.from_mapping(settings)
-    pipeline = Pipeline(lab.calibration, regions, stages, (method,))
+    pipeline = Pipeline(lab.calibration, regions, stages, methods)
     pipeline.tracking, pipeline.planes = load_recording(folder, recording), RecordedPlanes(planes)
     times = {}
     for exposure in lab.exposures():
@@ -116,11 +96,11 @@ def _true_jump_m(field: DisplacementField, truth_m: Array, crack: CrackZones) ->
 def _map_rms_px(lab: Laboratory, field: DisplacementField, truth_m: Array, regions: Regions) -> list[float]:
     """RMS over the panel of the error in x and in y, in pixels at the average distance."""
     pixel_m = lab.settings.motion.distance_m / lab.calibration.camera.fx
-    error = _map_error_m(field, truth_m, regions)
+    error = map_error_m(field, truth_m, regions)
     return [rms(error[:, axis]) / pixel_m for axis in (0, 1)]
 
 
-def _map_error_m(field: DisplacementField, truth_m: Array, regions: Regions) -> Array:
+def map_error_m(field: DisplacementField, truth_m: Array, regions: Regions) -> Array:
     """(N, 2) measured minus true displacement, less the rigid motion in the plane that fits it best: how the panel as a
     whole moves is not told by images that are aligned on it. NaN for subsets that see both sides of the crack."""
     crack = regions.crack

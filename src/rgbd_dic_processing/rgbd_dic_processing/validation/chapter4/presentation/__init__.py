@@ -19,6 +19,6 @@ def write_chapter4(data: Chapter4, folder: Path, run_folder: Path) -> list[Crite
         run_folder: that the run used, with its recordings.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    pictures = [*scene.draw(data, run_folder, folder), *figures.draw(data, folder)]
+    pictures = [*scene.draw(data, run_folder, folder), *figures.draw(data, run_folder, folder)]
     write_page(folder, facts(data), tables(data), pictures)
     return criteria(data)

@@ -1,15 +1,20 @@
-"""Figures 4.15, 4.16 and 4.20 redrawn from a run, and what goes beyond the thesis."""
+"""Figures 4.15 to 4.27 redrawn from a run, and what goes beyond the thesis."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.image import AxesImage
 from numpy.typing import NDArray
+from rgbd_dic_acquisition.errors import RgbdDicError
 
+from ....core.regions import Regions, load_regions
+from ....history.comparison import compare_run
+from ....history.record import start_of
+from ....report import zones
 from ....report.drawing import (
     BLACK,
     TRUTH_LINE,
@@ -21,17 +26,33 @@ from ....report.drawing import (
     plot_values,
     save,
 )
+from ....report.map_background import Background
+from ....report.reference import draw as draw_reference
+from ....report.series import of_run as series_of_run
+from ....runs import Run
+from ..alignment import stereo_history
 from ..chapter import MAPPED, METHODS, Chapter4
-from ..errors import COMPONENTS
+from ..errors import COMPONENTS, rms
+from ..example import time_of, truth_m
+from ..measuring import map_error_m
 from ..regions import usual_region
+from ..scenes import open_laboratory
 
 Array = NDArray[np.float64]
 
 
-def draw(data: Chapter4, folder: Path) -> list[Picture]:
+def draw(data: Chapter4, run_folder: Path, folder: Path) -> list[Picture]:
     """Write every figure that needs no more than the numbers of the run."""
+    run = Run.load(run_folder / data.example)
+    regions = load_regions(run_folder / data.example / "regions.yaml")
     with appearance():
-        return [_maps(data, folder), _map_errors(data, folder), _history(data, folder), _budget(data, folder)]
+        return [
+            *_maps(data, run, regions, folder),
+            _history(data, folder),
+            *_aligned(data, run, folder),
+            *_zones(run, regions, folder),
+            _budget(data, folder),
+        ]
 
 
 def _shown() -> list[str]:
@@ -39,41 +60,47 @@ def _shown() -> list[str]:
     return [method for method in ("h_2d", "h_3d", "h_joint") if method in METHODS]
 
 
-def _maps(data: Chapter4, folder: Path) -> Picture:
-    """Figures 4.15 and 4.16: displacement of the panel, the truth on the left."""
-    methods = _shown()
-    columns = ["true", *methods]
-    figure = new_figure(2.9 * len(columns), 3.6)
-    grid = figure.subplots(2, len(columns), sharex=True, sharey=True, squeeze=False)
+def _maps(data: Chapter4, run: Run, regions: Regions, folder: Path) -> list[Picture]:
+    """Figures 4.15 and 4.16, and what each method loses of the field."""
+    lab = open_laboratory(data.scope.laboratory(*MAPPED))
+    fields = {method: run.maps[method]["widest"] for method in method_order(METHODS)}
+    some = next(iter(fields.values()))
+    truth = truth_m(lab, some)
+    errors = {method: 1e3 * map_error_m(field, truth, regions) for method, field in fields.items()}
+    displacements = {"true": 1e3 * truth} | {method: 1e3 * fields[method].displacement_m for method in _shown()}
+    background = Background.of(None, None, some)
+    time_s = time_of(lab, some)
+    return [_displacements(displacements, background, time_s, folder), _map_errors(errors, background, folder)]
+
+
+def _displacements(values: dict[str, Array], background: Background, time_s: float, folder: Path) -> Picture:
+    figure = new_figure(2.9 * len(values), 3.6)
+    grid = figure.subplots(2, len(values), sharex=True, sharey=True, squeeze=False)
     for axis, row in enumerate(grid):
-        true = np.array(data.maps[methods[0]]["true"])[:, axis]
-        low, high = np.nanpercentile(true - np.nanmean(true), (1, 99))
-        for ax, name in zip(row, columns, strict=True):
-            entry = data.maps[methods[0] if name == "true" else name]
-            values = np.array(entry["true" if name == "true" else "measured"])[:, axis]
-            shown = _draw_map(ax, entry, values - np.nanmean(values), low, high, "viridis")
+        centred = {name: entry[:, axis] - np.nanmean(entry[:, axis]) for name, entry in values.items()}
+        low, high = np.nanpercentile(centred["true"], (1, 99))
+        for ax, (name, cells) in zip(row, centred.items(), strict=True):
+            shown = _draw_map(ax, background, cells, low, high, "viridis")
             ax.set_title(f"{'xy'[axis]}, {name}", loc="left")
         figure.colorbar(shown, ax=row, label="[mm]", extend="both", shrink=0.9)
     _label_pixels(grid)
-    entry = data.maps[methods[0]]
     caption = (
-        f"Figures 4.15 and 4.16: displacement [mm] of the panel at its widest opening ({entry['time_s']:.2f} s; "
+        f"Figures 4.15 and 4.16: displacement [mm] of the panel at its widest opening ({time_s:.2f} s; "
         f"`{MAPPED[0]}`, seed {MAPPED[1]}), less its mean: the truth, and the methods with the whole panel as region."
     )
     return save(figure, folder / "chapter4_maps.png", caption, "Maps of the displacement, true and measured.")
 
 
-def _map_errors(data: Chapter4, folder: Path) -> Picture:
-    """What each method loses of the field."""
-    methods = [method for method in method_order(METHODS) if method != "pc_3d"]
-    figure = new_figure(2.9 * len(methods), 3.6)
-    grid = figure.subplots(2, len(methods), sharex=True, sharey=True, squeeze=False)
+def _map_errors(errors: dict[str, Array], background: Background, folder: Path) -> Picture:
+    shown_methods = [method for method in errors if method != "pc_3d"]
+    figure = new_figure(2.9 * len(shown_methods), 3.6)
+    grid = figure.subplots(2, len(shown_methods), sharex=True, sharey=True, squeeze=False)
     for axis, row in enumerate(grid):
-        limit = max(1e-3, *(np.nanpercentile(np.abs(np.array(data.maps[m]["error"])[:, axis]), 98) for m in _shown()))
-        for ax, method in zip(row, methods, strict=True):
-            values = np.array(data.maps[method]["error"])[:, axis]
-            shown = _draw_map(ax, data.maps[method], values, -limit, limit, "RdYlBu_r")
-            ax.set_title(f"{'xy'[axis]}, {method}: RMS {np.sqrt(np.nanmean(values**2)):.4f} mm", loc="left")
+        limit = max(1e-3, *(np.nanpercentile(np.abs(errors[method][:, axis]), 98) for method in shown_methods))
+        for ax, method in zip(row, shown_methods, strict=True):
+            values = errors[method][:, axis]
+            shown = _draw_map(ax, background, values, -limit, limit, "RdYlBu_r")
+            ax.set_title(f"{'xy'[axis]}, {method}: RMS {rms(values):.4f} mm", loc="left")
         figure.colorbar(shown, ax=row, label="error [mm]", extend="both", shrink=0.9)
     _label_pixels(grid)
     caption = (
@@ -92,7 +119,8 @@ def _history(data: Chapter4, folder: Path) -> Picture:
     grid = figure.subplots(3, 2, sharex=True, height_ratios=(1.2, 1, 1))
     histories = {method: data.histories[field, seed, method, region] for method in method_order(METHODS)}
     some = next(iter(histories.values()))
-    stereo = data.stereo[field, seed]
+    reference, _ = stereo_history(data.scope.laboratory(field, seed))
+    late = {"opening": reference.opening_m, "sliding": reference.sliding_m}
     noisy = [method for method in histories if method in ("h_3d", "pc_3d")]
     for column, component in enumerate(COMPONENTS):
         top, *below = grid[:, column]
@@ -103,8 +131,8 @@ def _history(data: Chapter4, folder: Path) -> Picture:
             ax = below[0] if method in noisy else below[1]
             plot_values(ax, history.time_s, history.error(component), method, **line_of(method))
         top.plot(
-            stereo["time_s"],
-            stereo[component],
+            reference.time_s,
+            1e3 * late[component],
             "o",
             color=BLACK,
             markersize=3.5,
@@ -125,6 +153,31 @@ def _history(data: Chapter4, folder: Path) -> Picture:
         "simulated 3D DIC as its late clock has it, and the errors of each method."
     )
     return save(figure, folder / "chapter4_history.png", caption, "Opening and sliding over time, and their errors.")
+
+
+def _aligned(data: Chapter4, run: Run, folder: Path) -> list[Picture]:
+    """Figures 4.21 to 4.27, as `rgbd-dic report --reference` draws them; none if the run is too short."""
+    reference, _ = stereo_history(data.scope.laboratory(*MAPPED))
+    try:
+        compared = compare_run(run.openings, reference, start_of(run.openings))
+    except RgbdDicError:
+        return []
+    pictures = draw_reference(series_of_run(run.openings, None), reference, compared, folder)
+    numbers = {"alignment": "4.25 to 4.27", "correlation": "4.23 and 4.24", "spectra": "4.21 and 4.22"}
+    return [_as_ours(picture, f"Figures {numbers[picture.path.stem]}") for picture in pictures]
+
+
+def _zones(run: Run, regions: Regions, folder: Path) -> list[Picture]:
+    """Figures 4.18 and 4.19, as every report draws them."""
+    chosen = "h_joint" if "h_joint" in METHODS else METHODS[0]
+    found, _ = zones.of_run(replace(run, maps={chosen: run.maps[chosen]}), regions)
+    return [_as_ours(picture, "Figures 4.18 and 4.19") for picture in zones.draw(run, regions, found, folder)]
+
+
+def _as_ours(picture: Picture, figures: str) -> Picture:
+    path = picture.path.with_name(f"chapter4_{picture.path.name}")
+    picture.path.replace(path)
+    return Picture(path, f"{figures}: {picture.caption}", picture.alt)
 
 
 def _budget(data: Chapter4, folder: Path) -> Picture:
@@ -164,13 +217,9 @@ def _budget(data: Chapter4, folder: Path) -> Picture:
     return save(figure, folder / "chapter4_budget.png", caption, "RMS error of each error source alone.")
 
 
-def _draw_map(ax: Axes, entry: dict[str, Any], values: Array, low: float, high: float, colours: str) -> AxesImage:
+def _draw_map(ax: Axes, background: Background, values: Array, low: float, high: float, colours: str) -> AxesImage:
     """Values (N,) of the subsets, a cell each."""
-    (xs, column), (ys, row) = (np.unique(line, return_inverse=True) for line in np.array(entry["centres_px"]).T)
-    cells = np.full((len(ys), len(xs)), np.nan)
-    cells[row, column] = values
-    half = (xs[1] - xs[0]) / 2
-    extent = (xs[0] - half, xs[-1] + half, ys[-1] + half, ys[0] - half)
+    cells, extent = background.on_grid(values), background.grid_extent
     return ax.imshow(cells, extent=extent, cmap=colours, vmin=low, vmax=high, interpolation="nearest")
 
 

@@ -15,9 +15,8 @@ from ....core.regions import inside, load_regions
 from ....core.settings import PlaneSettings
 from ....report.drawing import BLUE, GREEN, ORANGE, SKY, VERMILION, Picture, appearance, new_figure, save
 from ..chapter import MAPPED, METHODS, Chapter4
-from ..recording import regions_file
 from ..regions import REGIONS, regions_of, usual_region
-from ..scenes import laboratory_values, open_laboratory
+from ..scenes import open_laboratory
 
 Array = NDArray[np.float64]
 
@@ -27,8 +26,8 @@ DRAWN = 6000  # points of a cloud
 def draw(data: Chapter4, run_folder: Path, into: Path) -> list[Picture]:
     """Write all of them."""
     field, seed = MAPPED
-    lab = open_laboratory(laboratory_values(field, seed, data.scope.duration_s, data.scope.scale))
-    regions_path = regions_file(run_folder, data.recordings[MAPPED])
+    lab = open_laboratory(data.scope.laboratory(field, seed))
+    regions_path = run_folder / data.example / "regions.yaml"
     widest_s = data.histories[field, seed, METHODS[0], usual_region(field)].widest_s
     with appearance():
         return [_image(lab, regions_path, into), _cloud(lab, regions_path, into), _shape(lab, widest_s, into)]

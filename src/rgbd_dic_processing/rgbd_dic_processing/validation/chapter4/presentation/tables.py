@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -22,6 +23,7 @@ def tables(data: Chapter4) -> dict[str, str]:
         "criteria": criteria_table(criteria(data)),
         "thesis": _as_in_the_thesis(data),
         "openings": _openings(data),
+        "aligned": _aligned(data),
         "regions": _regions(data),
         "maps": _maps(data),
         "budget": _budget(data),
@@ -44,7 +46,39 @@ def _as_in_the_thesis(data: Chapter4) -> str:
     for field in data.scope.fields:
         name = f"`{field}`, {REGION_WORDS[usual_region(field)]}, against the truth"
         rows.append((name, *(_mean_and_worst(data.of(field, method), "opening") for method in METHODS)))
+        cells = [_summary(_compared(data, field, method), "opening, spline") for method in METHODS]
+        rows.append((f"`{field}`, {REGION_WORDS[usual_region(field)]}, against the simulated 3D DIC", *cells))
     return table(("RMS error [mm]", *_names()), rows)
+
+
+def _aligned(data: Chapter4) -> str:
+    """Beside the simulated 3D DIC after alignment: both interpolations, both components, and the delay."""
+    words = {
+        "opening, spline": "opening, smoothing spline [mm]",
+        "opening, fourier": "opening, Fourier series [mm]",
+        "sliding, spline": "sliding, smoothing spline [mm]",
+        "sliding, fourier": "sliding, Fourier series [mm]",
+    }
+    rows = []
+    for field in data.scope.fields:
+        compared = {method: _compared(data, field, method) for method in METHODS}
+        for key, name in words.items():
+            rows.append((f"`{field}`", f"RMS, {name}", *(_summary(compared[method], key) for method in METHODS)))
+        delays = [[abs(1e3 * one["delay_error_s"]) for one in compared[method]] for method in METHODS]
+        cells = [f"{np.mean(values):.1f} ({max(values):.1f})" if values else NONE for values in delays]
+        rows.append((f"`{field}`", "delay found less the true one [ms]", *cells))
+    return table(("field", "", *_names()), rows)
+
+
+def _compared(data: Chapter4, field: str, method: str) -> list[dict[str, Any]]:
+    """Of the seeds that could be compared."""
+    every = [data.aligned[field, seed, method] for seed in data.scope.seeds]
+    return [one for one in every if "reason" not in one]
+
+
+def _summary(compared: list[dict[str, Any]], key: str) -> str:
+    values = [one[key] for one in compared]
+    return f"{np.mean(values):.4f} ({max(values):.4f})" if values else NONE
 
 
 def _openings(data: Chapter4) -> str:
