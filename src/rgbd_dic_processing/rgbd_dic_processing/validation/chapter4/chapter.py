@@ -50,7 +50,7 @@ class Scope:
 
 
 FULL = Scope(("beam", "plate", "rigid_half"), (1, 2, 3, 4, 5), 5.0, 1.0, (1, 2), (1,), 2.0, tuple(SOURCES))
-QUICK = Scope(("beam", "rigid_half"), (1,), 3.0, 0.4, (1,), (1,), 0.5, ("none", "ToF noise", "all"))
+QUICK = Scope(("beam", "rigid_half"), (1,), 2.6, 0.4, (1,), (1,), 0.5, ("none", "all"))
 BUDGET_SCALE = 0.5
 
 
