@@ -39,8 +39,9 @@ bench-real: build                ## the regression on real images alone
 	@tools/bench/environment.sh
 	@$(run) python tools/bench/run.py --real
 
-validate: build                  ## chapter 3 of the thesis beside ours: docs/validation_chapter3.md
-	@$(run) rgbd-dic validate chapter3 --out results/chapter3
+validate: build                  ## chapters 3 and 4 of the thesis beside ours: docs/validation_chapter*.md
+	@$(run) rgbd-dic validate chapter3
+	@$(run) rgbd-dic validate chapter4
 	@$(run) python tools/docs/regenerate.py
 
 lint: .venv/.installed           ## formatting and lint, as CI checks them

@@ -20,13 +20,18 @@ from rgbd_dic_processing.results import HEADER
 
 ROOT = Path(__file__).parents[2]
 DEMO = ROOT / "results" / "demo"
-CHAPTER3 = ROOT / "results" / "chapter3"
+CHAPTERS = {chapter: ROOT / "results" / chapter for chapter in ("chapter3", "chapter4")}
 PICTURES = {  # docs/images <- what made it, and the file there
     "demo_history.png": (DEMO, "history.png"),
     "demo_maps.png": (DEMO, "maps_h_pose_widest.png"),
     **{
-        f"chapter3_{name}.png": (CHAPTER3, f"chapter3_{name}.png")
-        for name in ("images", "averages", "rms", "trends", "cracks", "maps_2_5", "maps_2_6", "oblique")
+        f"{chapter}_{name}.png": (CHAPTERS[chapter], f"{chapter}_{name}.png")
+        for chapter, names in (
+            ("chapter3", ("images", "averages", "rms", "trends", "cracks", "maps_2_5", "maps_2_6", "oblique")),
+            ("chapter4", ("image", "cloud", "shape", "maps", "map_errors", "history", "budget")),
+            ("chapter4", ("alignment", "correlation", "spectra", "zone_sensitivity")),
+        )
+        for name in names
     },
 }
 
@@ -71,9 +76,9 @@ def demo_table() -> str | None:
     return path.read_text() if path.exists() else None
 
 
-def chapter3_table(name: str) -> Callable[[], str | None]:
+def chapter_table(chapter: str, name: str) -> Callable[[], str | None]:
     """A table of the last `make validate`."""
-    path = CHAPTER3 / "tables" / f"{name}.md"
+    path = CHAPTERS[chapter] / "tables" / f"{name}.md"
     return lambda: path.read_text() if path.exists() else None
 
 
@@ -96,11 +101,15 @@ FROM_CODE: dict[str, dict[str, Callable[[], str | None]]] = {
 FROM_RUN: dict[str, dict[str, Callable[[], str | None]]] = {
     "README.md": {"demo": demo_table},
     "docs/validation_chapter3.md": {
-        name: chapter3_table(name)
+        name: chapter_table("chapter3", name)
         for name in (
             *("criteria", "calibration", "patterns", "poses", "thesis", "maps", "trends", "minimal", "calibrations"),
             *("cracks", "budget", "coverage", "oblique"),
         )
+    },
+    "docs/validation_chapter4.md": {
+        name: chapter_table("chapter4", name)
+        for name in ("facts", "criteria", "thesis", "openings", "aligned", "regions", "maps", "budget", "axes")
     },
 }
 PROCESSING_YAML = ROOT / "src/rgbd_dic_processing/config/processing.yaml"
@@ -130,7 +139,7 @@ def new_texts(blocks: dict[str, dict[str, Callable[[], str | None]]]) -> dict[Pa
 
 
 def copy_pictures() -> None:
-    """Pictures of the demonstration and of chapter 3 that a page shows, made small."""
+    """Pictures of the demonstration and of the validations that a page shows, made small."""
     pages = "".join(path.read_text() for path in (ROOT / "README.md", *ROOT.glob("docs/**/*.md")) if path.exists())
     for name, (folder, source) in PICTURES.items():
         if f"images/{name}" not in pages:

@@ -1,1 +1,1 @@
-"""The thesis' numerical validation (chapter 3), repeated: `rgbd-dic validate chapter3`."""
+"""The thesis' validations repeated, a folder a chapter: `rgbd-dic validate chapter3` and `chapter4`."""

@@ -14,28 +14,26 @@ from typing import Any
 
 import cv2
 
-from rgbd_dic_processing import _kernel
-
-from .rendering import digest, digest_of_files, rendering_digest
+from .digests import digest, digest_of_code
 
 Progress = Callable[[int, int], None]
-NO_NUMBERS = ("chapter3.py", "running.py")  # no number of a task depends on them
 ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
 @dataclass(frozen=True)
 class Task:
-    """A call `work(folder, **arguments)` of a module-level function; arguments and result are what JSON can write."""
+    """A call `work(folder, **arguments)` of a module-level function; arguments and result are what JSON can write.
+
+    without: modules that the result does not depend on though they are imported (`digest_of_code`).
+    """
 
     work: Callable[..., Any]
     arguments: dict[str, Any] = field(default_factory=dict)
+    without: tuple[str, ...] = ()
 
     def key(self) -> str:
         """Changes with the arguments and with the code that the result depends on."""
-        here = Path(__file__).parent
-        own = [path for path in here.glob("*.py") if path.name not in NO_NUMBERS]
-        core = [*(here.parent / "core").rglob("*.py"), Path(_kernel.__file__)]
-        return f"{self.work.__name__}_{digest(self.arguments, digest_of_files(*own, *core), rendering_digest())}"
+        return f"{self.work.__name__}_{digest(self.arguments, digest_of_code(self.work.__module__, self.without))}"
 
 
 def run_tasks(tasks: Sequence[Task], folder: Path, workers: int, progress: Progress | None = None) -> list[Any]:

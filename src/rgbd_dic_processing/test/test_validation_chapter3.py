@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from rgbd_dic_acquisition.simulator.motion import thesis_pose
-from rgbd_dic_processing.validation.calibrating import BOARD, board_poses
-from rgbd_dic_processing.validation.chapter3 import FULL, QUICK, run_chapter3
-from rgbd_dic_processing.validation.measuring import (
+from rgbd_dic_processing.validation.chapter3.calibrating import BOARD, board_poses
+from rgbd_dic_processing.validation.chapter3.chapter import FULL, QUICK, run_chapter3
+from rgbd_dic_processing.validation.chapter3.measuring import (
     exact_plane,
     panel_per_pixel,
     panel_regions,
@@ -16,12 +16,12 @@ from rgbd_dic_processing.validation.measuring import (
     project,
     true_px,
 )
-from rgbd_dic_processing.validation.presentation import write_chapter3
-from rgbd_dic_processing.validation.presentation.statistics import ORDER, Slope
-from rgbd_dic_processing.validation.quality import autocorrelation_radius
-from rgbd_dic_processing.validation.shots import CAMERA, REFERENCES, all_shots, crack_shots, moving_shots
-from rgbd_dic_processing.validation.tasks import SUBSET
-from rgbd_dic_processing.validation.thesis import printed_camera, printed_references
+from rgbd_dic_processing.validation.chapter3.presentation import write_chapter3
+from rgbd_dic_processing.validation.chapter3.presentation.statistics import ORDER, Slope
+from rgbd_dic_processing.validation.chapter3.quality import autocorrelation_radius
+from rgbd_dic_processing.validation.chapter3.shots import CAMERA, REFERENCES, all_shots, crack_shots, moving_shots
+from rgbd_dic_processing.validation.chapter3.tasks import SUBSET
+from rgbd_dic_processing.validation.chapter3.thesis import printed_camera, printed_references
 
 
 @pytest.fixture(scope="module")

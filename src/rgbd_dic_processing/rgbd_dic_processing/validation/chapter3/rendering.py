@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import functools
-import hashlib
-import json
 import os
 from pathlib import Path
 
@@ -18,20 +16,10 @@ from rgbd_dic_acquisition.simulator.speckle import SpeckleSettings, make_pattern
 
 from rgbd_dic_acquisition import calibration
 
+from ..digests import digest, digest_of_files
 from .shots import PANEL, PATTERNS, SUPERSAMPLING, Shot
 
 PATTERN_SEED = 2
-
-
-def digest(*parts: object) -> str:
-    """Short name of anything that JSON can write."""
-    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
-
-
-@functools.cache
-def digest_of_files(*paths: Path) -> str:
-    """Of files by content."""
-    return digest([hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(paths)])
 
 
 def rendering_digest() -> str:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from ..chapter3 import Chapter3
+from ..chapter import Chapter3
 from ..measuring import METHODS
 
 Array = NDArray[np.float64]

@@ -9,9 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection
 from numpy.typing import NDArray
 
-from ...report import maps as report_maps
-from ...report.drawing import Picture, appearance, new_figure, save
-from ...runs import Run
+from ....report import maps as report_maps
+from ....report.drawing import Picture, appearance, new_figure, save
+from ....runs import Run
 from ..calibrating import board_image
 from ..measuring import Measured, Tracked, measure, panel_regions, track, track_again
 from ..rendering import Renderer, exposed

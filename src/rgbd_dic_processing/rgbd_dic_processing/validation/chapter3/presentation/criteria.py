@@ -3,29 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
-from ..chapter3 import NOISE, Chapter3
+from ...page import Criterion
+from ..chapter import NOISE, Chapter3
 from .statistics import ORDER, coverage, crack_slopes, opening_ratios, trend
 
 RIGID = ("h_3d", "pc_3d")
-
-
-@dataclass(frozen=True)
-class Criterion:
-    """what: in words. measured, limit: the worst of all images and the number that it must not exceed."""
-
-    what: str
-    measured: float
-    limit: float
-    unit: str = "mm"
-    low: float = -np.inf
-
-    @property
-    def met(self) -> bool:
-        return self.low <= self.measured <= self.limit
 
 
 def criteria(data: Chapter3) -> list[Criterion]:

@@ -11,7 +11,7 @@ from rgbd_dic_acquisition.calibration import Camera
 
 from .shots import CAMERA
 
-DATA = Path(__file__).with_name("thesis_chapter3.yaml")
+DATA = Path(__file__).with_name("thesis.yaml")
 QUANTITIES = {"average": "Average [mm]", "std_dev": "Std dev [mm]", "rms_error": "RMS error [mm]"}
 
 

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from rgbd_dic_acquisition.calibration import Camera
 
-from ..core.settings import RenewalSettings, SearchSettings
-from ..core.status import FrameStatus
-from ..core.tracking import SubsetTracking
+from ...core.settings import RenewalSettings, SearchSettings
+from ...core.status import FrameStatus
+from ...core.tracking import SubsetTracking
 from .measuring import Tracked, measure, panel_regions, track_again
 from .rendering import Renderer, exposed
 from .shots import CAMERA, PATTERNS, Shot, in_view

@@ -10,24 +10,24 @@ from numpy.typing import NDArray
 from rgbd_dic_acquisition.calibration import Camera
 from rgbd_dic_acquisition.errors import MeasurementError
 
-from ..core.correlation import CorrelationSettings, ReferenceSubsets
-from ..core.crack import CrackMeasurement, CrackOpening
-from ..core.displacement import SOLVERS, DisplacementMeasurement
-from ..core.displacement_field import DisplacementField
-from ..core.geometry import Plane, SeedMaps, apply_homography
-from ..core.homography import fit_homography
-from ..core.pairing import FramePair
-from ..core.plane import PlaneEstimate
-from ..core.regions import CrackZones, Regions
-from ..core.settings import CompensationSettings, CrackSettings, RenewalSettings, SearchSettings
-from ..core.status import FrameStatus
-from ..core.subset_field import Reference, SubsetField
-from ..core.tracking import SubsetTracking
+from ...core.correlation import CorrelationSettings, ReferenceSubsets
+from ...core.crack import CrackMeasurement, CrackOpening
+from ...core.displacement import DisplacementMeasurement
+from ...core.displacement_field import DisplacementField
+from ...core.geometry import Plane, SeedMaps, apply_homography
+from ...core.homography import fit_homography
+from ...core.pairing import FramePair
+from ...core.plane import PlaneEstimate
+from ...core.regions import CrackZones, Regions
+from ...core.settings import CompensationSettings, CrackSettings, RenewalSettings, SearchSettings
+from ...core.status import FrameStatus
+from ...core.subset_field import Reference, SubsetField
+from ...core.tracking import SubsetTracking
 from .shots import PANEL, Shot
 
 Array = NDArray[np.float64]
 
-METHODS = tuple(SOLVERS)
+METHODS = ("h_pose", "h_3d", "h_2d", "pc_3d")
 REFERENCE_NS, IMAGE_NS = 1, 2
 INSET_PX = 10  # of a subset's border from the edges of the plates, whose sharp step would ring in the spline
 DEPTH_SIGMA = 1e-7  # of the exact planes, n/-d [1/m]: they need some uncertainty

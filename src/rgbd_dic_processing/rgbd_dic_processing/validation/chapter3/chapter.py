@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..running import Progress, Task, run_tasks
 from . import budget, calibrating, oblique, quality, tasks
-from .running import Progress, Task, run_tasks
 from .shots import PATTERNS, REFERENCES, Shot, all_shots
 
 Array = NDArray[np.float64]

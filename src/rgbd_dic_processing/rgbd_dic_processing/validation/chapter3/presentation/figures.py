@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import ScalarFormatter
 from numpy.typing import NDArray
 
-from ...report.drawing import BLACK, BLUE, GREEN, ORANGE, VERMILION, Picture, appearance, new_figure, save
-from ..chapter3 import Chapter3
+from ....report.drawing import BLACK, BLUE, GREEN, ORANGE, VERMILION, Picture, appearance, new_figure, save
+from ..chapter import Chapter3
 from ..oblique import CRACK_MM, SERIES
 
 Array = NDArray[np.float64]

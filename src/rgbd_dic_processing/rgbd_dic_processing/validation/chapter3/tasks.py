@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from rgbd_dic_acquisition.calibration import Camera
 
-from ..core.correlation import CorrelationSettings
-from ..core.geometry import apply_homography
-from ..core.homography import fit_homography
+from ...core.correlation import CorrelationSettings
+from ...core.geometry import apply_homography
+from ...core.homography import fit_homography
 from . import calibrating
 from .measuring import (
     Measured,

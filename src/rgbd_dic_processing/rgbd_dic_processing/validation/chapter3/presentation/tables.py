@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
 from dataclasses import astuple
 
 import numpy as np
 
-from ..chapter3 import NOISE, Chapter3
+from ...page import NONE, criteria_table, table
+from ..chapter import NOISE, Chapter3
 from ..oblique import CRACK_MM
 from ..shots import CAMERA, Shot, all_shots
 from ..tasks import PREFILTER_PX, STEP, SUBSET
@@ -30,14 +30,13 @@ OURS = {  # row of a table -> where its numbers are
     "disks, pre-filter": ("disks", "pre-filtered"),
     "band-limited": ("blobs", "8 bit"),
 }
-NONE = "–"
 MODERATE = {"yaw": 30, "pitch": 30}  # degrees: beyond, the pattern aliases on the far side of the panel
 
 
 def tables(data: Chapter3) -> dict[str, str]:
     """All that the run can fill."""
     made = {
-        "criteria": _criteria(data),
+        "criteria": criteria_table(criteria(data)),
         "calibration": _calibration(data),
         "patterns": _patterns(data),
         "poses": _poses(data),
@@ -54,21 +53,6 @@ def tables(data: Chapter3) -> dict[str, str]:
     if len(data.scope.growing) > 1:
         made["cracks"] = _cracks(data)
     return made
-
-
-def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    lines = [header, ["---"] * len(header), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
-
-
-def _criteria(data: Chapter3) -> str:
-    rows = []
-    for one in criteria(data):
-        asked = f"{one.low:g} to {one.limit:g}" if np.isfinite(one.low) else f"at most {one.limit:g}"
-        digits = 3 if one.limit >= 0.1 else 5 if one.limit >= 1e-4 else 7
-        measured = f"{one.measured:.{digits}f} {one.unit}".strip()
-        rows.append((one.what, f"{asked} {one.unit}".strip(), measured, "met" if one.met else "**not met**"))
-    return table(("what", "asked", "measured", ""), rows)
 
 
 def _calibration(data: Chapter3) -> str:

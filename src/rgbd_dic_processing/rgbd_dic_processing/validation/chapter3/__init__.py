@@ -1,0 +1,1 @@
+"""The thesis' numerical validation (chapter 3), repeated."""

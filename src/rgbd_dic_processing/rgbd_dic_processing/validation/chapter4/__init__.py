@@ -1,0 +1,1 @@
+"""The thesis' experiment (chapter 4), repeated in the simulated laboratory."""

@@ -1,0 +1,169 @@
+"""Chapter 4 of the thesis, from the simulated laboratories to what was measured in them: `run_chapter4`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ...core.displacement import SOLVERS
+from ..running import Progress, Task, run_tasks
+from . import alignment, example, measuring, planes
+from .budget import SOURCES, field_with, laboratory_with
+from .errors import CrackHistory
+from .recording import recording_task
+from .regions import REGIONS, usual_region
+from .scenes import Values, laboratory_values
+
+METHODS = tuple(SOLVERS)
+MAPPED = ("beam", 1)  # the laboratory whose maps and histories are drawn
+ROLLS: dict[str, dict[str, Any]] = {  # axes drawn wrong: arguments of `measuring.measure`
+    "as drawn": {},
+    "x axis of the panel rolled by 2.5°": {"roll_deg": {"x_axis": 2.5}},
+    "crack's direction rolled by 1°": {"roll_deg": {"crack": 1.0}},
+    "crack's direction rolled by 2.5°": {"roll_deg": {"crack": 2.5}},
+}
+
+
+@dataclass(frozen=True)
+class Scope:
+    """What is run. scale: of the images. region_seeds, budget_seeds: of the comparison of regions, of the budget."""
+
+    fields: tuple[str, ...]
+    seeds: tuple[int, ...]
+    duration_s: float
+    scale: float
+    region_seeds: tuple[int, ...]
+    budget_seeds: tuple[int, ...]
+    budget_s: float
+    sources: tuple[str, ...]
+
+    def laboratory(self, field: str, seed: int) -> Values:
+        """The settings of one."""
+        return laboratory_values(field, seed, self.duration_s, self.scale)
+
+    @property
+    def without_rigid_part(self) -> tuple[str, ...]:
+        """The fields in which all of the panel deforms."""
+        return tuple(field for field in self.fields if usual_region(field) == "whole")
+
+
+FULL = Scope(("beam", "plate", "rigid_half"), (1, 2, 3, 4, 5), 5.0, 1.0, (1, 2), (1,), 2.0, tuple(SOURCES))
+QUICK = Scope(("beam", "rigid_half"), (1,), 2.6, 0.4, (1,), (1,), 0.5, ("none", "all"))
+BUDGET_SCALE = 0.5
+
+
+@dataclass(frozen=True)
+class Chapter4:
+    """All that was measured.
+
+    histories: (field, seed, method, region) -> history; budget: (source, seed, method) -> history; rolled: (axes,
+    method) -> history in the laboratory `MAPPED`; aligned: (field, seed, method) -> result of `alignment.compare`.
+    example: folder of the run of `MAPPED`, in that of the validation.
+    """
+
+    scope: Scope
+    histories: dict[tuple[str, int, str, str], CrackHistory]
+    budget: dict[tuple[str, int, str], CrackHistory]
+    rolled: dict[tuple[str, str], CrackHistory]
+    aligned: dict[tuple[str, int, str], dict[str, Any]]
+    example: str
+
+    def of(self, field: str, method: str, region: str | None = None) -> list[CrackHistory]:
+        """Of all seeds that were run, with the usual region or another."""
+        region = region or usual_region(field)
+        return [
+            self.histories[field, seed, method, region]
+            for seed in self.scope.seeds
+            if (field, seed, method, region) in self.histories
+        ]
+
+
+def run_chapter4(folder: Path, scope: Scope, workers: int = 2, progress: Progress | None = None) -> Chapter4:
+    """Measure everything, or take it from an earlier run into the same folder.
+
+    Args:
+        folder: keeps the subset fields, the planes and the results of all tasks.
+        workers: processes.
+        progress: called with (tasks done, tasks in all).
+    """
+    labs = {(field, seed): scope.laboratory(field, seed) for field in scope.fields for seed in scope.seeds}
+    alone = {
+        (source, seed): laboratory_with(source, seed, scope.budget_s, BUDGET_SCALE)
+        for source in scope.sources
+        for seed in scope.budget_seeds
+    }
+    usual = [(field, seed, method, usual_region(field)) for field, seed in labs for method in METHODS]
+    others = [
+        (field, seed, method, region)
+        for field in scope.without_rigid_part
+        for seed in scope.region_seeds
+        for method in METHODS
+        for region in REGIONS
+        if region != usual_region(field)
+    ]
+    total = 2 * (len(labs) + len(alone)) + 2 * len(usual) + len(others) + len(METHODS) * (len(alone) + len(ROLLS)) + 1
+    done = 0
+
+    def run(tasks: dict[Any, Task]) -> dict[Any, Any]:
+        nonlocal done
+        shown: Callable[[int, int], None] | None = None
+        if progress is not None:
+            before = done
+
+            def shown(count: int, _: int) -> None:
+                progress(before + count, total)
+
+        results = run_tasks(list(tasks.values()), folder, workers, shown)
+        done += len(tasks)
+        return dict(zip(tasks, results, strict=True))
+
+    every = labs | alone
+    recorded = run({key: recording_task(values) for key, values in every.items()})
+    inputs = {key: {"laboratory": values, "recording": recorded[key]} for key, values in every.items()}
+    fitted = run({key: Task(planes.fit_planes, values) for key, values in inputs.items()})
+    for key, values in inputs.items():
+        values["planes"] = fitted[key]
+
+    def measured(key: tuple[str, int], **chosen: Any) -> Task:
+        return Task(measuring.measure, inputs[key] | chosen)
+
+    histories = run(
+        {
+            (f, s, method, region): measured((f, s), method=method, region=region)
+            for f, s, method, region in usual + others
+        }
+    )
+    budget = run(
+        {
+            (*key, method): measured(key, method=method, region=usual_region(field_with(key[0])))
+            for key in alone
+            for method in METHODS
+        }
+    )
+    region = usual_region(MAPPED[0])
+    rolled = run(
+        {
+            (name, method): measured(MAPPED, method=method, region=region, **wrong)
+            for name, wrong in ROLLS.items()
+            for method in METHODS
+        }
+    )
+    aligned = run(
+        {
+            (f, s, method): Task(
+                alignment.compare, {"laboratory": labs[f, s], "measured": histories[f, s, method, region]}
+            )
+            for f, s, method, region in usual
+        }
+    )
+    examples = run({MAPPED: example.process_task(**inputs[MAPPED], methods=list(METHODS), region=region)})
+    return Chapter4(
+        scope,
+        {key: CrackHistory(entry) for key, entry in histories.items()},
+        {key: CrackHistory(entry) for key, entry in budget.items()},
+        {key: CrackHistory(entry) for key, entry in rolled.items()},
+        aligned,
+        examples[MAPPED],
+    )

@@ -1,0 +1,70 @@
+"""The numbers to reach, and what was reached."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from ...page import Criterion
+from ..chapter import METHODS, Chapter4
+from ..errors import COMPONENTS, CrackHistory
+
+THESIS_MM = {"h_3d": 0.038, "h_2d": 0.032}  # Table 4.6
+RIGID = ("h_pose", "h_joint")
+MAP_LIMIT_PX = 0.02
+
+
+def criteria(data: Chapter4) -> list[Criterion]:
+    """All that the run can tell."""
+    return [
+        *(_rigid_half(data) if "rigid_half" in data.scope.fields else ()),
+        *_whole_panel(data),
+        *_uncertainty(data),
+        *_maps(data),
+    ]
+
+
+def worst(histories: list[CrackHistory], component: str) -> float:
+    """Largest RMS error of the seeds [mm]."""
+    return max(history.rms(component) for history in histories)
+
+
+def best_method(data: Chapter4) -> str:
+    """The one whose worst opening of all seeds and fields without a rigid part is the smallest."""
+    return min(METHODS, key=lambda method: worst(_of_all(data, method), "opening"))
+
+
+def _of_all(data: Chapter4, method: str) -> list[CrackHistory]:
+    return [history for field in data.scope.without_rigid_part for history in data.of(field, method)]
+
+
+def _rigid_half(data: Chapter4) -> Iterator[Criterion]:
+    for method in (one for one in RIGID if one in METHODS):
+        for component in COMPONENTS:
+            measured = worst(data.of("rigid_half", method), component)
+            yield Criterion(f"left half rigid and the fixed region, `{method}`: {component}", measured, 0.003)
+
+
+def _whole_panel(data: Chapter4) -> Iterator[Criterion]:
+    method = best_method(data)
+    histories = _of_all(data, method)
+    words = f"no rigid part, whole panel, best method (`{method}`)"
+    for component, limit in zip(COMPONENTS, (0.012, 0.005), strict=True):
+        yield Criterion(f"{words}: {component}", worst(histories, component), limit)
+    yield Criterion(f"{words}: opening, stretch goal", worst(histories, "opening"), 0.005)
+    for method, printed in THESIS_MM.items():
+        measured = worst(_of_all(data, method), "opening")
+        yield Criterion(f"no rigid part, whole panel, `{method}`: opening, no worse than Table 4.6", measured, printed)
+
+
+def _uncertainty(data: Chapter4) -> Iterator[Criterion]:
+    for method in METHODS:
+        histories = [history for field in data.scope.fields for history in data.of(field, method)]
+        for component in COMPONENTS:
+            ratio = max(history.ratio(component) for history in histories)
+            yield Criterion(f"`{method}`: RMS error of the {component} over what it states", ratio, 1.1, unit="")
+
+
+def _maps(data: Chapter4) -> Iterator[Criterion]:
+    if "h_joint" in METHODS:
+        largest = max(max(history.map_rms()) for history in _of_all(data, "h_joint"))
+        yield Criterion("no rigid part, whole panel, `h_joint`: RMS error of the map", largest, MAP_LIMIT_PX, "px")
