@@ -80,24 +80,10 @@ def measured(method, tmp_path, field="beam", custom=None, **deformation):
         assert opening.valid, opening.reason
         exact = lab.displacement(*material.T, time_s)[:, :2]
         apart = exact[right].mean(axis=0) - exact[left].mean(axis=0)
-        apart[1] -= turn_at_crack(lab, time_s) * (material[right, 0].mean() - material[left, 0].mean())
+        apart[1] -= lab.turn_rad(time_s) * (material[right, 0].mean() - material[left, 0].mean())
         error = np.array([opening.opening_m, opening.sliding_m]) - apart
         rows.append([*error, opening.u_opening_m, opening.u_sliding_m])
     return Errors(*(1e3 * np.sqrt(np.mean(np.square(rows), axis=0))))
-
-
-def turn_at_crack(lab, time_s):
-    """Mean of the turns of the two sides at the crack's middle [rad]: (dv/dx - du/dy) / 2."""
-    h, field = 1e-4, lab.panel.deformation
-    strokes = lab.stroke_m(time_s), lab.stroke_m(lab.reference_s)
-    turns = []
-    for side in (-1, 1):
-        now, then = (
-            field.displacement(np.array([h, -h, 0, 0]), np.array([0, 0, h, -h]), stroke, side) for stroke in strokes
-        )
-        d = now - then
-        turns.append(((d[0, 1] - d[1, 1]) - (d[2, 0] - d[3, 0])) / (4 * h))
-    return np.mean(turns)
 
 
 def subset_field(stamp, camera, centres, moved):

@@ -124,6 +124,13 @@ class Laboratory:
         now, then = (self.panel.deformation.jump(y_m, self.stroke_m(t)) for t in (time_s, self.reference_s))
         return now - then
 
+    def turn_rad(self, time_s: float) -> float:
+        """How far the crack's middle has turned about the panel's z since the reference: the mean of its two sides."""
+        step = 1e-4
+        x, y = step * np.array([(1, 0), (-1, 0), (0, 1), (0, -1)], float).T
+        moved = np.mean([self.displacement(x, y, time_s, side) for side in (-1, 1)], axis=0)
+        return float((moved[0, 1] - moved[1, 1]) - (moved[2, 0] - moved[3, 0])) / (4 * step)
+
     def project(self, x_m: Array, y_m: Array, time_s: float, side: Array | int | None = None) -> Array:
         """Raw pixels (..., 2) of material."""
         return self.panel.project(self.calibration.camera, self.pose(time_s), x_m, y_m, self.stroke_m(time_s), side)

@@ -56,7 +56,8 @@ def measure(
             reasons.append(f"{opening.status.name}: {opening.reason}")
         truth_m = lab.displacement(*material.T, time_s)
         values = (opening.opening_m, opening.sliding_m, opening.u_opening_m, opening.u_sliding_m)
-        values_mm = 1e3 * np.array([*values, *_true_jump_m(field, truth_m, regions.crack)])
+        turn_rad = 0.0 if region == "half" else lab.turn_rad(time_s)
+        values_mm = 1e3 * np.array([*values, *_true_jump_m(field, material, truth_m, turn_rad, regions.crack)])
         rows.append([time_s, *values_mm, *_map_rms_px(lab, field, truth_m, regions)])
     return {"reasons": reasons} | dict(zip(HISTORY, np.transpose(rows).tolist(), strict=True))
 
@@ -85,12 +86,20 @@ def replay(
     yield from ((times[one.field.stamp_ns], one) for one in pipeline.flush())
 
 
-def _true_jump_m(field: DisplacementField, truth_m: Array, crack: CrackZones) -> Array:
-    """(2,) opening and sliding of the very subsets that were found in the zones; of all, if nothing was measured."""
+def _true_jump_m(
+    field: DisplacementField, material: Array, truth_m: Array, turn_rad: float, crack: CrackZones
+) -> Array:
+    """(2,) opening and sliding of the very subsets that were found in the zones; of all, if nothing was measured.
+
+    A region on both sides of the crack does not tell how the panel turns: what it gives is in axes that turn with the
+    crack, by turn_rad since the reference.
+    """
     found = np.isfinite(field.displacement_m[:, 0])
     zones = crack.members(field.centres_px.astype(float))
-    left, right = (truth_m[zone[found[zone]] if found[zone].any() else zone].mean(axis=0) for zone in zones)
-    return (right - left)[:2]
+    left, right = (zone[found[zone]] if found[zone].any() else zone for zone in zones)
+    apart = truth_m[right].mean(axis=0) - truth_m[left].mean(axis=0)
+    x, y = material[right].mean(axis=0) - material[left].mean(axis=0)
+    return apart[:2] - turn_rad * np.array([-y, x])
 
 
 def _map_rms_px(lab: Laboratory, field: DisplacementField, truth_m: Array, regions: Regions) -> list[float]:
