@@ -51,8 +51,7 @@ class Errors:
 def measured(method, tmp_path, field="beam", custom=None, **deformation):
     """A laboratory's zones over two seconds of loading, against the exact displacement of the very subsets.
 
-    Nothing tells whether a panel without a rigid part turns, so the truth is in axes that turn with the crack: by the mean
-    of what the two sides turn there.
+    Nothing tells whether a panel without a rigid part turns, so the truth is in axes that turn with the crack.
     """
     settings = laboratory_settings("laboratory", {"deformation": {"field": field, **deformation}})
     lab = Laboratory(settings, custom) if custom else Laboratory(settings)
