@@ -38,7 +38,7 @@ PICTURES = {  # docs/images <- what made it, and the file there
 # Columns of crack_opening.csv: unit, meaning, when it is nan or empty.
 COLUMNS = {
     "stamp_ns": ("ns", "stamp of the image, its moment of exposure, since the epoch", "never"),
-    "method": ("", "compensation method: `h_pose`, `h_3d`, `h_2d` or `pc_3d`", "never"),
+    "method": ("", "compensation method: `h_pose`, `h_joint`, `h_3d`, `h_2d` or `pc_3d`", "never"),
     "opening_mm": ("mm", "change since the reference normal to the crack, positive when its sides part", "not valid"),
     "sliding_mm": (
         "mm",
