@@ -114,7 +114,9 @@ def test_every_argument_is_described(describe, path: Path) -> None:
 
 @pytest.mark.parametrize("method", ["", "h_3d", "h_pose,pc_3d", "all"])
 def test_processing(describe, method: str) -> None:
-    methods = {"": ("h_pose",), "all": ("h_pose", "h_joint", "h_3d", "h_2d", "pc_3d")}.get(method, tuple(method.split(",")))
+    methods = {"": ("h_pose",), "all": ("h_pose", "h_joint", "h_3d", "h_2d", "pc_3d")}.get(
+        method, tuple(method.split(","))
+    )
     started = nodes(describe(PROCESSING / "processing.launch.py"), method=method, use_sim_time="True", **NAMED)
     assert started == expected(processing_nodes(SAMPLE_FILES, ProcessingSettings(), methods), use_sim_time=True)
 
