@@ -51,14 +51,19 @@ class RecordedPlanes:
 
 
 def _plain(estimate: PlaneEstimate) -> dict[str, Any]:
-    entry = dataclasses.asdict(estimate)
-    if estimate.plane is not None:
-        entry["plane"] = {key: np.asarray(value).tolist() for key, value in entry["plane"].items()}
-    return entry
+    """As JSON can write it: arrays as lists."""
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: plain(one) for key, one in value.items()}
+        return value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value
+
+    return plain(dataclasses.asdict(estimate))
 
 
 def _estimate(entry: dict[str, Any]) -> PlaneEstimate:
-    plane = entry["plane"]
-    if plane is not None:
-        plane = Plane(**{key: np.array(value) if isinstance(value, list) else value for key, value in plane.items()})
-    return PlaneEstimate(**(entry | {"status": FrameStatus(entry["status"]), "plane": plane}))
+    def arrays(values: dict[str, Any]) -> dict[str, Any]:
+        return {key: np.array(value) if isinstance(value, list) else value for key, value in values.items()}
+
+    plane = None if entry["plane"] is None else Plane(**arrays(entry["plane"]))
+    return PlaneEstimate(**(arrays(entry) | {"status": FrameStatus(entry["status"]), "plane": plane}))
