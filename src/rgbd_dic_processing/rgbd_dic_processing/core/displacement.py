@@ -126,7 +126,7 @@ def _plane_of(frame: JoinedFrame) -> tuple[Plane | None, tuple[FrameStatus, str]
     if frame.pair is None:
         return None, (FrameStatus.NO_DEPTH_FRAME, "it was never paired with a ToF frame")
     if frame.pair.depth_stamp_ns is None:
-        return None, (FrameStatus.NO_DEPTH_FRAME, "no ToF frame near enough in time")
+        return None, (FrameStatus.NO_DEPTH_FRAME, frame.pair.reason)
     if frame.plane is None:
         return None, (FrameStatus.NO_PLANE, "the plane of its ToF frame never came")
     if frame.plane.plane is None:
