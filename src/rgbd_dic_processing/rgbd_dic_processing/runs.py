@@ -56,7 +56,7 @@ class MapSelection:
         }
 
     def facts(self) -> dict[str, Any]:
-        """What a run should tell of keyframes after the reference, and of a clock that jumped back; nothing if neither."""
+        """What a run should tell of keyframes after the reference, and of a clock that jumped back; nothing if none."""
         jumps = max((stamps.newest[0] for stamps in self._stamps.values()), default=0)
         counts = {"renewed keyframes": len(self.renewed_ns), "jumps back of the camera's clock": jumps}
         return {name: count for name, count in counts.items() if count}

@@ -27,8 +27,8 @@ class FrameJoin:
 
     A frame whose image could not be measured waits for nothing, but for those before it.
 
-    A frame that is still incomplete when more than `max_waiting` wait behind it leaves as it is. What came before a jump
-    back of the clocks is never taken for what has the same stamp after it.
+    A frame that is still incomplete when more than `max_waiting` wait behind it leaves as it is. What came before a
+    jump back of the clocks is never taken for what has the same stamp after it.
     """
 
     def __init__(self, max_waiting: int):

@@ -40,8 +40,8 @@ class FramePairing:
     An image is settled as soon as a ToF frame at or after it is known (then its nearest neighbour is), or once
     later images show that the ToF frame is missing. The earlier of two equally near frames wins.
 
-    If the clocks of both sensors jump back, pairing goes on after it. If only one does, or the ToF sensor's jumps ahead,
-    no stamp tells any more which frames belong together, and none are paired.
+    If the clocks of both sensors jump back, pairing goes on after it. If only one does, or the ToF sensor's jumps
+    ahead, no stamp tells any more which frames belong together, and none are paired.
     """
 
     def __init__(self, settings: PairingSettings):

@@ -88,7 +88,8 @@ class SubsetTracking:
                 f"image is {image.shape[1]} x {image.shape[0]} px, the calibrated camera has {size[1]} x {size[0]} px"
             )
         newest = self._stretches.newest
-        if self._stretches.place(stamp_ns) <= newest:
+        place = self._stretches.place(stamp_ns)
+        if place <= newest or place[0] > newest[0]:  # after a jump of the clock, this one alone is refused
             reason = f"its stamp is not later than that of the image before it ({newest[1]} ns)"
         first = self.reference is None
         if first and image is not None and not reason:
