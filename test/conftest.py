@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -26,10 +26,10 @@ def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def edited(flight: Path, tmp_path: Path) -> Callable[[Edit], Path]:
     """Makes a copy of the flight in which `edit(topic, index on that topic, message)` changed the messages.
 
-    What it returns is written; None leaves the message out.
+    What it returns is written; None leaves the message out. `rename` maps topics to those they are written to.
     """
 
-    def make(edit: Edit) -> Path:
+    def make(edit: Edit, rename: Mapping[str, str] | None = None) -> Path:
         path = tmp_path / "edited"
         with BagReader(flight) as source, BagWriter(path) as bag:
             seen: dict[str, int] = {}
@@ -38,8 +38,9 @@ def edited(flight: Path, tmp_path: Path) -> Callable[[Edit], Path]:
                 seen[topic] = index + 1
                 changed = edit(topic, index, message)
                 if changed is not None:
-                    bag.add_topic(topic, source.topics[topic].type, transient_local=topic == "/tf_static")
-                    bag.write_message(topic, log_time_ns, changed)
+                    to, kind = (rename or {}).get(topic, topic), source.topics[topic].type
+                    bag.add_topic(to, kind, transient_local=topic == "/tf_static")
+                    bag.write_message(to, log_time_ns, changed)
         for name in ("regions.yaml", "calibration.yaml"):
             (path / name).write_text((flight / name).read_text())
         return path

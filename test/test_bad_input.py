@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import yaml
 from rgbd_dic_acquisition.bag import BagReader, BagWriter
+from rgbd_dic_acquisition.simulator.flight_bag import START_NS
 from system import SAMPLE, rgbd_dic
 
 
@@ -219,6 +220,119 @@ def test_no_depth_for_a_while(edited, tmp_path: Path) -> None:
     missing = [row for row in rows(tmp_path / "out", "h_3d") if row["valid"] == "0"]
     assert 8 <= len(missing) <= 10  # 200 ms without a ToF frame, of which 2 x 30 ms are near enough to one
     assert all(row["reason"].startswith("NO_DEPTH_FRAME") and row["depth_offset_s"] == "nan" for row in missing)
+
+
+def test_zones_that_leave_the_image(flight: Path, edited, tmp_path: Path) -> None:
+    """The panel jumps to the left for five images, until the left zone is out of view, and comes back."""
+    jump_px, away = 200, range(20, 25)
+
+    def moved(topic, index, message):
+        if topic != "/camera/image_raw" or index not in away:
+            return message
+        pixels = np.asarray(message.data).reshape(message.height, message.step)
+        pixels = np.hstack([pixels[:, jump_px:], np.zeros((message.height, jump_px), np.uint8)])
+        return dataclasses.replace(message, data=pixels.ravel())
+
+    for source, out in ((flight, "whole"), (edited(moved), "moved")):
+        assert rgbd_dic("process", source, "--out", tmp_path / out).returncode == 0
+    whole, seen = rows(tmp_path / "whole"), rows(tmp_path / "moved")
+    assert [index for index, row in enumerate(seen) if row["valid"] == "0"] == list(away)
+    assert all("left zone" in seen[index]["reason"] or "fixed region" in seen[index]["reason"] for index in away)
+    for mine, theirs in zip(seen, whole, strict=True):
+        if mine["valid"] == "1":
+            assert float(mine["opening_mm"]) == pytest.approx(float(theirs["opening_mm"]), abs=2e-3)
+
+
+def jumping(by: dict[str, float], after_s: float = 0.3):
+    """An edit: the clocks of some sensors (`camera`, `tof`) jump by so many seconds; the recorder's does not."""
+
+    def edit(topic, index, message):
+        by_s = by.get(topic.split("/")[1], 0.0)
+        stamp_s = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec if hasattr(message, "header") else 0
+        if not by_s or stamp_s - START_S < after_s:
+            return message
+        ns = round(stamp_s * 1e9) + round(by_s * 1e9)
+        stamp = dataclasses.replace(message.header.stamp, sec=ns // 10**9, nanosec=ns % 10**9)
+        return dataclasses.replace(message, header=dataclasses.replace(message.header, stamp=stamp))
+
+    return edit
+
+
+START_S = START_NS * 1e-9
+
+
+@pytest.mark.parametrize("by_s", [-0.25, -100.0, 0.4])
+def test_clocks_that_jump(flight: Path, edited, tmp_path: Path, by_s: float) -> None:
+    """Both clocks jump: after one image that says so, measuring goes on, and what is measured is what it was."""
+    bag = edited(jumping({"camera": by_s, "tof": by_s}))
+    for source, out in ((flight, "whole"), (bag, "jumped")):
+        done = rgbd_dic("process", source, "--method", "h_pose,h_3d", "--out", tmp_path / out)
+        assert done.returncode == 0, done.stderr
+    assert ("jumps back of the camera's clock: 1" in (tmp_path / "jumped" / "summary.md").read_text()) == (by_s < 0)
+    for method, lost in (("h_pose", by_s < 0), ("h_3d", 3)):
+        whole, jumped = rows(tmp_path / "whole", method), rows(tmp_path / "jumped", method)
+        invalid = [row for row in jumped if row["valid"] == "0"]
+        assert len(jumped) == len(whole) and len(invalid) <= lost
+        said = ("not later", "near enough", "no image near it")  # of the image itself, its ToF frame, that one's image
+        assert all(any(words in row["reason"] for words in said) for row in invalid)
+        for mine, theirs in zip(jumped, whole, strict=True):
+            if mine["valid"] == "1":
+                # near the jump another ToF frame may be the nearest, and the averaged plane lack one
+                limit_mm = 0.002 + 3 * float(mine["u_opening_mm"])
+                assert float(mine["opening_mm"]) == pytest.approx(float(theirs["opening_mm"]), abs=limit_mm)
+
+
+@pytest.mark.parametrize("by_s", [-0.5, 0.5])
+@pytest.mark.parametrize("sensor", ["camera", "tof"])
+def test_clock_of_one_sensor_jumps(edited, tmp_path: Path, sensor: str, by_s: float) -> None:
+    """What needs a ToF frame of its own says that there is none; h_pose goes on with the plane it knows."""
+    bag = edited(jumping({sensor: by_s}, after_s=0.25))
+    done = rgbd_dic("process", bag, "--method", "h_pose,h_3d", "--out", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    late = [row["reason"] for row in rows(tmp_path / "out") if row["valid"] == "0"]
+    assert len(late) == (sensor == "camera" and by_s < 0) and all("not later" in reason for reason in late)
+    after = rows(tmp_path / "out", "h_3d")[18:]
+    assert len(after) == 12 and all(row["reason"].startswith("NO_DEPTH_FRAME") for row in after)
+
+
+def test_recorder_whose_clock_runs_back(flight: Path, tmp_path: Path) -> None:
+    """Its log times order the bag, so nothing could put the messages right again."""
+    with BagReader(flight) as source, BagWriter(tmp_path / "back") as bag:
+        middle = (source.start_ns + source.end_ns) // 2
+        for topic, kind, log_time_ns, data in source.raw_messages():
+            bag.add_topic(topic, kind, transient_local=topic == "/tf_static")
+            bag.write(topic, log_time_ns - (10**10 if log_time_ns > middle else 0), data)
+    message = refused("process", tmp_path / "back", "--regions", flight / "regions.yaml", "--out", tmp_path / "out")
+    assert "clock of the computer that recorded it ran back by 9.9 s" in message
+
+
+def test_no_depth_for_a_second(edited, tmp_path: Path) -> None:
+    """ToF frames end after 0.2 s: h_3d has none from then on, h_pose has the plane of the first ones."""
+    bag = edited(lambda topic, index, message: None if topic.startswith("/tof/depth") and index >= 4 else message)
+    assert rgbd_dic("process", bag, "--method", "h_pose,h_3d", "--out", tmp_path / "out").returncode == 0
+    assert all(row["valid"] == "1" for row in rows(tmp_path / "out"))
+    assert all("NO_DEPTH_FRAME" in row["reason"] for row in rows(tmp_path / "out", "h_3d")[13:])
+
+
+def test_swapped_calibrations(flight: Path, tmp_path: Path) -> None:
+    """The intrinsics of the two sensors exchanged: refused frame by frame, as the images are of another size."""
+    content = yaml.safe_load((flight / "calibration.yaml").read_text())
+    content["camera"], content["tof"] = content["tof"], content["camera"]
+    path = tmp_path / "swapped.yaml"
+    path.write_text(yaml.safe_dump(content))
+    done = rgbd_dic("process", flight, "--calibration", path, "--out", tmp_path / "out")
+    assert done.returncode == 3 or "outside the image" in done.stderr, done.stderr
+    if done.returncode == 3:
+        assert all("the calibrated camera has" in row["reason"] for row in rows(tmp_path / "out"))
+
+
+def test_swapped_streams(edited, tmp_path: Path) -> None:
+    """Each sensor's images on the other's topic: neither can be taken for the other's."""
+    swapped = {"/camera/image_raw": "/tof/depth/image_raw", "/tof/depth/image_raw": "/camera/image_raw"}
+    bag = edited(lambda topic, index, message: message, rename=swapped)
+    done = rgbd_dic("process", bag, "--out", tmp_path / "out")
+    assert done.returncode == 3, done.stderr
+    assert all(row["reason"].startswith("BAD_IMAGE") and "mono8" in row["reason"] for row in rows(tmp_path / "out"))
 
 
 def test_recorded_bag_is_never_overwritten(flight: Path, tmp_path: Path) -> None:

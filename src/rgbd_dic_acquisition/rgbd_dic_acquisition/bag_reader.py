@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
 from .errors import BagError
 from .message_types import typestore
 
 MAGIC = b"\x89MCAP0\r\n"
+CHUNKS_OVERLAP_S = 2.0  # threads of a recorder write messages that late after one another
 
 
 @dataclass(frozen=True)
@@ -171,5 +174,22 @@ def _check_mcap(path: Path) -> None:
             f"{path} is cut short (no footer): the recording was not closed. Recover what is there with "
             f"`mcap recover {path} -o OUT.mcap`, or record it again"
         )
+    _check_order(path)
     if path.suffix != ".mcap":
         raise BagError(f"{path}: the name of an MCAP file must end in .mcap; rename it")
+
+
+def _check_order(path: Path) -> None:
+    """Refuse a file that cannot be read in the order of its recording, because its log times do not tell it."""
+    with path.open("rb") as file:
+        try:
+            index = sorted(make_reader(file).get_summary().chunk_indexes, key=lambda chunk: chunk.chunk_start_offset)
+        except Exception:  # damaged bytes raise almost anything; who opens it to read will say so
+            return
+    for before, after in pairwise(index):
+        back_s = (before.message_end_time - after.message_start_time) * 1e-9
+        if back_s > CHUNKS_OVERLAP_S:
+            raise BagError(
+                f"{path}: the clock of the computer that recorded it ran back by {back_s:.1f} s: the order of its "
+                "messages is not known any more. Split it there with `mcap filter`, or record it again"
+            )

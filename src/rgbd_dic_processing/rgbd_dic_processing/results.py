@@ -59,8 +59,8 @@ def row(opening: CrackOpening) -> list[str]:
 
 
 def write_openings(openings: Iterable[CrackOpening], path: Path) -> None:
-    """Write crack_opening.csv, ordered by method and stamp."""
-    ordered = sorted(openings, key=lambda opening: (opening.method, opening.stamp_ns))
+    """Write crack_opening.csv, ordered by method, and each as its images came."""
+    ordered = sorted(openings, key=lambda opening: opening.method)
     with path.open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(HEADER)

@@ -16,6 +16,7 @@ from rgbd_dic_acquisition.errors import RgbdDicError
 
 from .core.crack import CrackOpening
 from .core.displacement_field import DisplacementField
+from .core.stamps import Stretches
 from .core.status import FrameStatus
 from .core.subset_field import Reference
 from .results import CSV_NAME, read_openings, write_openings
@@ -27,15 +28,18 @@ TRUTH_NAME = "truth.csv"
 class MapSelection:
     """Keeps, for each method, the displacement fields worth a map: at the widest opening, and the last valid one.
 
-    Of all fields it keeps the stamps of the keyframes after the reference, `renewed_ns`.
+    Of all fields it keeps the stamps of the keyframes after the reference, `renewed_ns`, and how often the stamps of a
+    method's images jump back.
     """
 
     def __init__(self) -> None:
         self._widest: dict[str, tuple[float, DisplacementField]] = {}
         self._last: dict[str, DisplacementField] = {}
+        self._stamps: dict[str, Stretches] = {}
         self.renewed_ns: set[int] = set()
 
     def add(self, displacement: DisplacementField, opening: CrackOpening | None) -> None:
+        self._stamps.setdefault(displacement.method, Stretches()).place(displacement.stamp_ns)
         if displacement.keyframe_stamp_ns != displacement.reference_stamp_ns:
             self.renewed_ns.add(displacement.keyframe_stamp_ns)
         if displacement.status != FrameStatus.OK:
@@ -52,8 +56,10 @@ class MapSelection:
         }
 
     def facts(self) -> dict[str, Any]:
-        """What a run should tell of the keyframes; nothing if all was followed from the reference."""
-        return {"renewed keyframes": len(self.renewed_ns)} if self.renewed_ns else {}
+        """What a run should tell of keyframes after the reference, and of a clock that jumped back; nothing if none."""
+        jumps = max((stamps.newest[0] for stamps in self._stamps.values()), default=0)
+        counts = {"renewed keyframes": len(self.renewed_ns), "jumps back of the camera's clock": jumps}
+        return {name: count for name, count in counts.items() if count}
 
 
 @dataclass

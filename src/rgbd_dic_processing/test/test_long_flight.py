@@ -281,7 +281,9 @@ def runs(flight: Flight, tmp_path_factory: pytest.TempPathFactory) -> dict[str, 
     exposed += [(int(ns), "depth", k) for k, ns in enumerate(flight.tof_ticks().exposed_ns)]
     path = tmp_path_factory.mktemp("flight") / "regions.yaml"
     save_regions(flight, exposed[0][0] * 1e-9, path)
-    settings = ProcessingSettings.from_mapping({"correlation": {"step": 20}, "renewal": {"after_frames": 0}})
+    settings = ProcessingSettings.from_mapping(
+        {"correlation": {"step": 20}, "renewal": {"after_frames": 0}, "compensation": {"bow_m": 0.0}}
+    )
     make = (flight.calibration, load_regions(path), settings, ("h_pose", "h_2d"))
     pipelines = {name: Pipeline(*make) for name in ("alone", "chain", "second")}
     done: dict[str, list[Measurement]] = {name: [] for name in pipelines}

@@ -5,8 +5,9 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
+import pytest
 from rgbd_dic_processing.core.joining import FrameJoin
-from rgbd_dic_processing.core.pairing import FramePair, FramePairing
+from rgbd_dic_processing.core.pairing import CLOCK_JUMPED, FramePair, FramePairing
 from rgbd_dic_processing.core.plane import PlaneEstimate
 from rgbd_dic_processing.core.settings import PairingSettings
 from rgbd_dic_processing.core.status import FrameStatus
@@ -121,3 +122,76 @@ def test_join_lets_what_cannot_be_measured_leave_at_once() -> None:
     assert join.add_field(Field(3, FrameStatus.BAD_IMAGE)) == []
     left = join.add_pair(FramePair(2, None))
     assert [(f.field.stamp_ns, f.pair is None) for f in left] == [(2, False), (3, True)]
+
+
+def true_pairs(image_error_ns, depth_error_ns, images=IMAGES, depths=DEPTHS, delay=15 * MS):
+    """All pairs of streams whose clocks err by a function of the true time: (true image, true ToF time or None, pair).
+
+    Stamps are told apart by nanoseconds that they are odd by, so that each leads back to its true time.
+    """
+    arrivals = [(time, "image", number, time + image_error_ns(time)) for number, time in enumerate(images)]
+    arrivals += [(time + delay, "depth", number, time + depth_error_ns(time)) for number, time in enumerate(depths)]
+    events = [(kind, stamp + number) for _, kind, number, stamp in sorted(arrivals)]
+    image_of = {stamp + number: images[number] for _, kind, number, stamp in arrivals if kind == "image"}
+    depth_of = {stamp + number: depths[number] for _, kind, number, stamp in arrivals if kind == "depth"}
+    return [(image_of[pair.stamp_ns], depth_of.get(pair.depth_stamp_ns), pair) for pair in pair_all(events)]
+
+
+def jump(after_ns: int, by_ns: int):
+    return lambda time: by_ns if time >= after_ns else 0
+
+
+@pytest.mark.parametrize("by", [-600, -140, -120, -80, -60, 200, 500])
+@pytest.mark.parametrize("delay", [-20, 15, 60])
+def test_the_clock_of_both_jumps(by: int, delay: int) -> None:
+    """By so many ms. Frames of before and after are never paired, and pairing goes on at once: only images whose own
+    nearest frame is on the other side of the jump have none, and after a small jump back four whose stamps are in
+    doubt. Of 60 ms, three images came late and are refused."""
+    error = jump(510 * MS, by * MS)
+    pairs = true_pairs(error, error, delay=delay * MS)
+    assert all(depth is None or abs(depth - image) <= 30 * MS for image, depth, _ in pairs)
+    without = [image for image, depth, _ in pairs if depth is None]
+    assert all(480 * MS <= image <= 670 * MS for image in without) and len(without) <= 4
+    assert len(pairs) == len(IMAGES) - (-by * 60 // 1000 if -100 < by < 0 else 0)
+
+
+@pytest.mark.parametrize("by", [-600, -200, 200, 500])
+@pytest.mark.parametrize("jumping", ["camera", "tof"])
+def test_the_clock_of_one_jumps(by: int, jumping: str) -> None:
+    """No stamp tells then what belongs together: none are paired, and never wrongly."""
+    errors = [jump(510 * MS, by * MS), lambda time: 0]
+    pairs = true_pairs(*(errors if jumping == "camera" else errors[::-1]))
+    assert len(pairs) == len(IMAGES)
+    assert all(depth is None or abs(depth - image) <= 30 * MS for image, depth, _ in pairs)
+    assert sum(depth is not None for _, depth, _ in pairs) >= 28
+    later = [pair for image, _, pair in pairs if image > 540 * MS]
+    assert all(pair.depth_stamp_ns is None and pair.reason for pair in later)
+    if by < 0:
+        assert {pair.reason for pair in later[3:]} == {CLOCK_JUMPED}
+
+
+@pytest.mark.parametrize("images, depths", [(True, True), (False, True), (True, False)])
+def test_a_silence_is_not_a_jump(images: bool, depths: bool) -> None:
+    """One sensor or both are silent for 400 ms: afterwards all is as before."""
+    kept = [
+        [t for t in times if not (gone and 300 * MS < t < 700 * MS)]
+        for gone, times in ((images, IMAGES), (depths, DEPTHS))
+    ]
+    still = jump(0, 0)
+    for delay in (-20, 15, 60):
+        pairs = true_pairs(still, still, *kept, delay=delay * MS)
+        assert all(depth == nearest(image, kept[1], 30 * MS) for image, depth, _ in pairs)
+
+
+def test_join_does_not_mix_what_has_one_stamp_before_and_after_a_jump() -> None:
+    """The pair of the second image 1000 and the plane of its ToF frame come late; those of the first are long there."""
+    join, start = FrameJoin(10), 10**9
+    join.add_reference(7)
+    for stamp in (start, start + 200 * MS):
+        join.add_field(Field(stamp))
+        join.add_plane(PlaneEstimate(stamp + 5, FrameStatus.NO_PLANE, "first"))
+        join.add_pair(FramePair(stamp, stamp + 5))
+    assert join.add_field(Field(start)) == []
+    assert join.add_pair(FramePair(start, start + 5)) == []
+    left = join.add_plane(PlaneEstimate(start + 5, FrameStatus.NO_PLANE, "second"))
+    assert [(frame.field.stamp_ns, frame.plane.reason) for frame in left] == [(start, "second")]

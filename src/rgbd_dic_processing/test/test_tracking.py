@@ -179,6 +179,18 @@ def test_stamps_must_increase(stamp: int) -> None:
     assert field.status == FrameStatus.BAD_IMAGE and "not later" in field.reason
 
 
+def test_a_clock_that_jumps_back_costs_one_image() -> None:
+    """Even to the very stamp of the reference, whose own image it is not; the motion before it predicts nothing."""
+    steps = SubsetTracking(CAMERA, REGIONS, CorrelationSettings(), SearchSettings())
+    for stamp in range(1, 5):
+        assert steps.track(stamp * SECOND, view(np.eye(3))).status == FrameStatus.OK
+    assert steps.track(SECOND // 2, view(np.eye(3))).status == FrameStatus.BAD_IMAGE
+    again = steps.track(steps.reference.stamp_ns, view(turned(0, (5, 0))))
+    assert again.status == FrameStatus.OK and again.seed_source == SeedSource.PREDICTION
+    moved = again.moved_px - steps.reference.centres_px
+    np.testing.assert_allclose(np.nanmean(moved, axis=0), [5, 0], atol=0.01)
+
+
 def test_bad_images_say_why_and_change_nothing() -> None:
     steps = tracking()
     before = steps.reference

@@ -75,12 +75,16 @@ class CrackMeasurement:
         layout = self._zone_layout(field)
         found = np.isfinite(field.displacement_m[:, :2]).all(axis=1)
         left, right = (steady(field, zone[found[zone]]) for zone in (layout.left, layout.right))
-        for name, zone in (("left", left), ("right", right)):
-            if len(zone) < self._settings.min_subsets:
+        weights = []
+        for name, zone, whole in (("left", left, layout.left), ("right", right, layout.right)):
+            whole = whole[np.isfinite(field.position_m[whole]).all(axis=1)]
+            least = max(self._settings.min_subsets, math.ceil(self._settings.min_found * len(whole)))
+            weights.append(_weights(field.position_m[zone], field.position_m[whole]) if len(zone) >= least else None)
+            if weights[-1] is None:
                 return _invalid(
                     field,
                     FrameStatus.EMPTY_ZONE,
-                    f"{len(zone)} valid subsets in the {name} zone, at least {self._settings.min_subsets} needed",
+                    f"{len(zone)} of {len(whole)} subsets in the {name} zone are valid, at least {least} needed",
                     len(left),
                     len(right),
                 )
@@ -88,9 +92,11 @@ class CrackMeasurement:
             axes = layout.crack_axes(self._camera, self._zones, field.position_m)
         except MeasurementError as error:
             return _invalid(field, FrameStatus.NOT_COMPENSATED, str(error), len(left), len(right))
-        apart = field.displacement_m[right].mean(axis=0) - field.displacement_m[left].mean(axis=0)
+        sides = [(left, weights[0]), (right, weights[1])]
+        means = [shares @ field.displacement_m[zone] for zone, shares in sides]
+        apart = means[1] - means[0]
         jump = np.append(axes @ apart[:2], apart[2])
-        variance = self._variance(field, layout, axes, left, right) + (jump * field.scale_uncertainty) ** 2
+        variance = self._variance(field, layout, axes, sides) + (jump * field.scale_uncertainty) ** 2
         variance[2] += field.u_step_m**2
         magnitude, u_magnitude = _magnitude(jump, variance)
         sigma = np.sqrt(variance)
@@ -115,16 +121,16 @@ class CrackMeasurement:
         return self._layout
 
     def _variance(
-        self, field: DisplacementField, layout: _ZoneLayout, axes: Array, left: NDArray, right: NDArray
+        self, field: DisplacementField, layout: _ZoneLayout, axes: Array, sides: list[tuple[NDArray, Array]]
     ) -> Array:
         """(3,) variances along the crack axes [m^2], without the scale's; NaN for z where it is not known."""
         total = np.zeros(3)
-        for zone in (left, right):
+        for zone, shares in sides:
             squared = field.sigma_m[zone].astype(float) ** 2
-            component = np.sqrt(np.column_stack([squared[:, :2] @ (axes**2).T, squared[:, 2]]))
+            component = np.sqrt(np.column_stack([squared[:, :2] @ (axes**2).T, squared[:, 2]])) * shares[:, None]
             shared = layout.correlation[zone][:, zone]
-            total += np.sum(component * (shared @ component), axis=0) / len(zone) ** 2
-        terms = [quadratic_terms(field.position_m[zone]).mean(axis=0) for zone in (left, right)]
+            total += np.sum(component * (shared @ component), axis=0)
+        terms = [shares @ quadratic_terms(field.position_m[zone]) for zone, shares in sides]
         modes = _in_crack_axes(field.modes @ (terms[1] - terms[0]), axes)
         coupled = _in_crack_axes(field.zone_coupling[:, 1] - field.zone_coupling[:, 0], axes)
         shared = 2 * np.sum(modes[: len(coupled)] * coupled, axis=0)
@@ -185,6 +191,28 @@ def steady(field: DisplacementField, zone: NDArray[np.intp]) -> NDArray[np.intp]
     away = np.abs(field.displacement_m[zone, :2] - np.median(field.displacement_m[zone, :2], axis=0))
     scale = np.maximum(1.4826 * np.median(away, axis=0), field.sigma_m[zone, :2])
     return zone[(away <= OUTLIER * scale).all(axis=1)]
+
+
+def _weights(found_m: Array, whole_m: Array) -> Array | None:
+    """(n,) of the found subsets in the mean over a zone, for a displacement that is linear in it.
+
+    A half-hidden zone of a panel that turns or stretches does not move like its other half: a plane through what was
+    found, taken at the middle of the whole zone, does. If all were found, all weigh the same.
+
+    Args:
+        found_m, whole_m: (n, 2) and (N, 2), panel coordinates of the found subsets and of all of the zone.
+
+    Returns:
+        None if they do not determine that plane.
+    """
+    if len(found_m) == len(whole_m):
+        return np.full(len(found_m), 1 / len(found_m))
+    middle = whole_m.mean(axis=0)
+    design = np.column_stack([np.ones(len(found_m)), found_m - middle])
+    scaled = design / np.abs(design).max(axis=0)
+    if len(found_m) < 3 or np.linalg.cond(scaled) > 1e3:
+        return None
+    return np.linalg.pinv(scaled)[0]
 
 
 def _magnitude(jump: Array, variance: Array) -> tuple[float, float]:

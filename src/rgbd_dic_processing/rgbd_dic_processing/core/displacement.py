@@ -12,7 +12,7 @@ from rgbd_dic_acquisition.errors import RgbdDicError
 from .compensation import h_2d, h_3d, h_joint, h_pose, pc_3d
 from .compensation.motion import FrameView
 from .displacement_field import DisplacementField
-from .geometry import Plane
+from .geometry import Plane, pose_from_homography
 from .joining import FrameJoin, JoinedFrame
 from .pairing import FramePair
 from .plane import PlaneEstimate, PlaneMotion
@@ -30,6 +30,7 @@ SOLVERS = {
     "h_2d": h_2d.compensate,
     "pc_3d": pc_3d.compensate,
 }
+SHAPED = ("h_pose",)  # methods that are told the shape of the panel
 
 
 class DisplacementMeasurement:
@@ -102,6 +103,12 @@ class DisplacementMeasurement:
             pose = None
             if carried is not None and plane is not None:
                 reference_plane, plane, pose = carried
+            surface = None
+            if self._settings.bow_m and self._settings.method in SHAPED:
+                surface = base.surface(reference_plane, frame.field, moved_px, sigma_px, fixed)
+                reference_plane = surface.plane
+                seed = pose_from_homography(self._camera, base.homography(frame.field), reference_plane)
+                moved_px = moved_px - surface.parallax_px(seed)
             view = FrameView(
                 self._camera,
                 base.ideal_px,
@@ -116,7 +123,7 @@ class DisplacementMeasurement:
                 pose,
             )
             compensation = SOLVERS[self._settings.method](view, self._settings)
-            return base.displacement(frame, self._settings.method, view, compensation, reference_plane)
+            return base.displacement(frame, self._settings.method, view, compensation, reference_plane, surface)
         except (RgbdDicError, np.linalg.LinAlgError) as error:
             return invalid(FrameStatus.NOT_COMPENSATED, str(error))
 
@@ -126,7 +133,7 @@ def _plane_of(frame: JoinedFrame) -> tuple[Plane | None, tuple[FrameStatus, str]
     if frame.pair is None:
         return None, (FrameStatus.NO_DEPTH_FRAME, "it was never paired with a ToF frame")
     if frame.pair.depth_stamp_ns is None:
-        return None, (FrameStatus.NO_DEPTH_FRAME, "no ToF frame near enough in time")
+        return None, (FrameStatus.NO_DEPTH_FRAME, frame.pair.reason)
     if frame.plane is None:
         return None, (FrameStatus.NO_PLANE, "the plane of its ToF frame never came")
     if frame.plane.plane is None:

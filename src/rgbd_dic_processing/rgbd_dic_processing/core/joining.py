@@ -3,10 +3,12 @@ frame."""
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 
 from .pairing import FramePair
 from .plane import PlaneEstimate
+from .stamps import Place, Stretches
 from .status import FrameStatus
 from .subset_field import SubsetField
 
@@ -25,15 +27,17 @@ class FrameJoin:
 
     A frame whose image could not be measured waits for nothing, but for those before it.
 
-    A frame that is still incomplete when more than `max_waiting` wait behind it leaves as it is.
+    A frame that is still incomplete when more than `max_waiting` wait behind it leaves as it is. What came before a
+    jump back of the clocks is never taken for what has the same stamp after it.
     """
 
     def __init__(self, max_waiting: int):
         self._max_waiting = max_waiting
         self._references: set[int] = set()
-        self._fields: dict[int, SubsetField] = {}
-        self._pairs: dict[int, FramePair] = {}
-        self._planes: dict[int, PlaneEstimate] = {}
+        self._of_fields, self._of_pairs, self._of_planes = Stretches(), Stretches(), Stretches()
+        self._fields: deque[tuple[Place, SubsetField]] = deque()
+        self._pairs: dict[Place, FramePair] = {}
+        self._planes: dict[Place, PlaneEstimate] = {}
 
     def add_reference(self, stamp_ns: int) -> list[JoinedFrame]:
         """The reference itself is known: its fields may leave."""
@@ -41,15 +45,15 @@ class FrameJoin:
         return self._leave()
 
     def add_field(self, field: SubsetField) -> list[JoinedFrame]:
-        self._fields[field.stamp_ns] = field
+        self._fields.append((self._of_fields.place(field.stamp_ns), field))
         return self._leave()
 
     def add_pair(self, pair: FramePair) -> list[JoinedFrame]:
-        self._pairs[pair.stamp_ns] = pair
+        self._pairs[self._of_pairs.place(pair.stamp_ns)] = pair
         return self._leave()
 
     def add_plane(self, plane: PlaneEstimate) -> list[JoinedFrame]:
-        self._planes[plane.stamp_ns] = plane
+        self._planes[self._of_planes.place(plane.stamp_ns)] = plane
         return self._leave()
 
     def flush(self) -> list[JoinedFrame]:
@@ -60,23 +64,26 @@ class FrameJoin:
         keep = self._max_waiting if keep is None else keep
         frames = []
         while self._fields:
-            stamp = next(iter(self._fields))
-            if self._fields[stamp].status != FrameStatus.OK:
-                frames.append(JoinedFrame(self._fields.pop(stamp), None, None))
+            place, field = self._fields[0]
+            if field.status != FrameStatus.OK:
+                frames.append(JoinedFrame(field, None, None))
+                self._fields.popleft()
                 continue
-            pair = self._pairs.get(stamp)
-            plane = self._planes.get(pair.depth_stamp_ns) if pair and pair.depth_stamp_ns is not None else None
-            paired = pair is not None and (pair.depth_stamp_ns is None or plane is not None)
-            complete = paired and self._fields[stamp].reference_stamp_ns in self._references
+            pair = self._pairs.get(place)
+            depth = None if pair is None or pair.depth_stamp_ns is None else (place[0], pair.depth_stamp_ns)
+            plane = self._planes.get(depth)
+            paired = pair is not None and (depth is None or plane is not None)
+            complete = paired and field.reference_stamp_ns in self._references
             if not complete and len(self._fields) <= keep:
                 break
-            frames.append(JoinedFrame(self._fields.pop(stamp), pair, plane))
-            self._forget_before(stamp, pair)
+            frames.append(JoinedFrame(field, pair, plane))
+            self._fields.popleft()
+            self._forget_before(place, depth)
         return frames
 
-    def _forget_before(self, stamp_ns: int, pair: FramePair | None) -> None:
-        self._pairs = {key: value for key, value in self._pairs.items() if key > stamp_ns}
-        if pair and pair.depth_stamp_ns is not None:
-            self._planes = {key: value for key, value in self._planes.items() if key >= pair.depth_stamp_ns}
+    def _forget_before(self, place: Place, depth: Place | None) -> None:
+        self._pairs = {key: value for key, value in self._pairs.items() if key > place}
+        if depth is not None:
+            self._planes = {key: value for key, value in self._planes.items() if key >= depth}
         while len(self._planes) > self._max_waiting:
             self._planes.pop(next(iter(self._planes)))

@@ -118,20 +118,23 @@ class Keyframe:
     def _start(self) -> Guess:
         return Guess(np.eye(3), np.zeros_like(self.centres_px))
 
+    def itself(self) -> Found:
+        """Its subsets in its own image."""
+        return self._found(self._start, SeedSource.REFERENCE, self._itself, self._maps.seeds(np.eye(3)))
+
     def find(self, stamp_ns: int, image: NDArray[np.uint8]) -> Found | None:
-        """Its subsets in an image, which may be its own; None if the pattern was not found."""
-        if stamp_ns == self.stamp_ns:
-            guess, source, moved = self._start, SeedSource.REFERENCE, self._itself
-            seeds = self._maps.seeds(guess.homography)
-        else:
-            target = self._subsets.target(image)
-            guess, source = self._search.find(stamp_ns, image, target)
-            if guess is None:
-                return None
-            seeds = self._search.seeds(guess)
-            moved = self._subsets.correlate(target, seeds)
-            moved = self._search.complete(image, target, guess, moved)
-            self._search.remember(stamp_ns, guess, moved)
+        """Its subsets in another image; None if the pattern was not found."""
+        target = self._subsets.target(image)
+        guess, source = self._search.find(stamp_ns, image, target)
+        if guess is None:
+            return None
+        seeds = self._search.seeds(guess)
+        moved = self._subsets.correlate(target, seeds)
+        moved = self._search.complete(image, target, guess, moved)
+        self._search.remember(stamp_ns, guess, moved)
+        return self._found(guess, source, moved, seeds)
+
+    def _found(self, guess: Guess, source: SeedSource, moved: Correlation, seeds: Array) -> Found:
         jacobian = seeds[:, :, 1:3]
         link = np.column_stack([moved.sigma_x_px, moved.sigma_y_px]).astype(float)
         return Found(

@@ -25,7 +25,10 @@ class PanelMotion:
         self._poses: deque[Array] = deque(maxlen=REMEMBERED)
 
     def add(self, stamp_ns: int, pose: Pose) -> None:
-        """The pose in an image later than those before."""
+        """The pose in the next image; one that is not later than those before begins anew, as its clock jumped back."""
+        if self._stamps and stamp_ns <= self._stamps[-1]:
+            self._stamps.clear()
+            self._poses.clear()
         self._stamps.append(stamp_ns)
         self._poses.append(np.append(Rotation.from_matrix(pose[0]).as_rotvec(), pose[1]))
 

@@ -16,6 +16,7 @@ from .msac import msac
 from .plane_uncertainty import block_covariance, systematic_covariance
 from .regions import Regions, polygon_mask
 from .settings import PlaneSettings
+from .stamps import Place, Stretches
 from .status import FrameStatus
 
 Array = NDArray[np.float64]
@@ -160,8 +161,9 @@ class PanelPlane:
         self._crack = regions.crack
         self._mask = polygon_mask(regions.panel, calibration.camera.width, calibration.camera.height)
         self._rays = None if calibration.tof is None else pixel_rays(calibration.tof)
-        self._waiting: deque[tuple[int, Array | None, str]] = deque()
-        self._views: deque[tuple[int, Array | None]] = deque(maxlen=64)
+        self._of_depths, self._of_views = Stretches(), Stretches()
+        self._waiting: deque[tuple[Place, Array | None, str]] = deque()
+        self._views: deque[tuple[Place, Array | None]] = deque(maxlen=64)
 
     def add_depth(self, stamp_ns: int, depth_m: NDArray[np.float32] | None, reason: str = "") -> list[PlaneEstimate]:
         """A ToF depth image (rows, cols) [m], NaN invalid; None with a reason if it could not be read.
@@ -183,15 +185,15 @@ class PanelPlane:
         """A ToF point cloud (N, 3) in the ToF frame [m]; rows with NaN are dropped."""
         if points_m is not None:
             points_m = points_m[np.isfinite(points_m).all(axis=1)]
-        self._waiting.append((stamp_ns - self._tof_delay_ns, points_m, reason))
+        self._waiting.append((self._of_depths.place(stamp_ns - self._tof_delay_ns), points_m, reason))
         if len(self._waiting) > MAX_WAITING:
-            stamp_ns, _, _ = self._waiting.popleft()
+            (_, stamp_ns), _, _ = self._waiting.popleft()
             return [PlaneEstimate(stamp_ns, FrameStatus.NO_PLANE, "no image came after it"), *self._settle()]
         return self._settle()
 
     def add_view(self, stamp_ns: int, homography: Array | None) -> list[PlaneEstimate]:
         """The homography reference -> image (ideal pixels) of an image; None if the image was lost."""
-        self._views.append((stamp_ns, homography))
+        self._views.append((self._of_views.place(stamp_ns), homography))
         return self._settle()
 
     def flush(self) -> list[PlaneEstimate]:
@@ -200,20 +202,21 @@ class PanelPlane:
 
     def _settle(self, all_of_them: bool = False) -> list[PlaneEstimate]:
         estimates = []
-        newest = self._views[-1][0] if self._views else -math.inf
-        while self._waiting and (all_of_them or newest >= self._waiting[0][0]):
+        while self._waiting and (all_of_them or self._of_views.newest >= self._waiting[0][0]):
             estimates.append(self._estimate(*self._waiting.popleft()))
         return estimates
 
-    def _estimate(self, stamp_ns: int, points_m: Array | None, reason: str) -> PlaneEstimate:
+    def _estimate(self, place: Place, points_m: Array | None, reason: str) -> PlaneEstimate:
+        stretch, stamp_ns = place
         if reason or points_m is None:
             return PlaneEstimate(stamp_ns, FrameStatus.BAD_DEPTH, reason or "no depth")
         if not len(points_m):
             return PlaneEstimate(stamp_ns, FrameStatus.BAD_DEPTH, "the ToF frame has no valid pixel")
-        view = min(self._views, key=lambda entry: abs(entry[0] - stamp_ns), default=None)
-        if view is None or abs(view[0] - stamp_ns) > VIEW_LIMIT_S * 1e9 or view[1] is None:
+        views = [(abs(view_ns - stamp_ns), view) for (of, view_ns), view in self._views if of == stretch]
+        away_ns, view = min(views, key=lambda entry: entry[0], default=(math.inf, None))
+        if away_ns > VIEW_LIMIT_S * 1e9 or view is None:
             return PlaneEstimate(stamp_ns, FrameStatus.NO_PLANE, "no image near it in which the panel was found")
-        on_panel, reference_px = self.select(points_m, view[1])
+        on_panel, reference_px = self.select(points_m, view)
         if len(on_panel) < self._settings.min_points:
             return PlaneEstimate(
                 stamp_ns,

@@ -33,8 +33,14 @@ class CarriedPlanes:
         self.reference: Plane | None = None
 
     def add(self, depth_stamp_ns: int, plane: Plane) -> None:
-        """The plane of a ToF frame at its own moment; one that is not later than those before is known already."""
-        if depth_stamp_ns > self._newest_ns:
+        """The plane of the next ToF frame at its own moment; the same one again changes nothing.
+
+        One that is earlier begins anew, as the clocks jumped back.
+        """
+        if depth_stamp_ns < self._newest_ns:
+            self._waiting.clear()
+            self._carried.clear()
+        if depth_stamp_ns != self._newest_ns:
             self._newest_ns = depth_stamp_ns
             self._waiting[depth_stamp_ns] = plane
 

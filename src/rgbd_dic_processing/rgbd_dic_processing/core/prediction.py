@@ -30,14 +30,16 @@ class Prediction:
         return self._views[-1] if self._views else np.eye(3)
 
     def add(self, stamp_ns: int, homography: Array) -> None:
-        """The homography of a frame; [2, 2] = 1. Stamps increase."""
+        """The homography of a frame; [2, 2] = 1. A stamp that is not later than the last begins anew."""
+        if self._stamps_ns and stamp_ns <= self._stamps_ns[-1]:
+            self._stamps_ns, self._views = [], []
         self._stamps_ns = [*self._stamps_ns[1 - self.FRAMES :], stamp_ns]
         self._views = [*self._views[1 - self.FRAMES :], homography]
 
     def at(self, stamp_ns: int) -> Array:
         """The homography (3, 3) expected at a time: Lagrange's polynomial, for stamps as irregular as they are."""
         stamps = self._stamps_ns
-        if len(stamps) < 2 or stamp_ns - stamps[-1] > self.MAX_SPANS * (stamps[-1] - stamps[0]):
+        if len(stamps) < 2 or not 0 < stamp_ns - stamps[-1] <= self.MAX_SPANS * (stamps[-1] - stamps[0]):
             return self.last
         weights = [
             np.prod([(stamp_ns - other) / (stamp - other) for other in stamps if other != stamp]) for stamp in stamps

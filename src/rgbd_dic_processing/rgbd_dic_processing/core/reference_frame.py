@@ -16,6 +16,7 @@ from .displacement_field import DisplacementField
 from .geometry import Plane, apply_homography, pose_from_homography
 from .joining import JoinedFrame
 from .panel_motion import PanelMotion, Pose
+from .panel_surface import Surface, SurfaceEstimate
 from .plane import PlaneEstimate
 from .plane_in_time import CarriedPlanes
 from .realignment import Realignment, realign_to_axis, realign_to_principal_axes
@@ -28,6 +29,7 @@ from .subset_field import Reference, SubsetField
 from .uncertainty import linear_modes, overlap_correlation, quadratic_terms
 
 Array = NDArray[np.float64]
+SHAPING = 800  # subsets that the panel's shape is estimated from: they overlap, and more tell hardly more
 NEEDS_PLANE_OF_FRAME = ("h_3d", "pc_3d")  # as in the thesis: from the ToF frames of the two images alone
 
 
@@ -51,6 +53,7 @@ class ReferenceFrame:
         self._carried = CarriedPlanes(settings.plane_window_s)
         self._motion, self._delay = PanelMotion(), DelayEstimate()
         self._accuracy: float | None = None  # of the sensor, relative to the distance
+        self._surface = SurfaceEstimate(camera, self.ideal_px, settings.bow_m, settings.robust_sigmas)
 
     def homography(self, field: SubsetField) -> Array:
         """(3, 3), ideal pixels of the reference -> of an image."""
@@ -135,10 +138,30 @@ class ReferenceFrame:
             )
         return self._planes.first
 
+    def surface(
+        self, plane: Plane, field: SubsetField, moved_px: Array, sigma_px: Array, fixed: NDArray[np.intp]
+    ) -> Surface:
+        """The panel's shape as it is known with this view (N, 2), from the ToF sensor's plane and the fixed region.
+
+        Raises:
+            MeasurementError: if the motion of the fixed region cannot be estimated.
+        """
+        some = fixed[:: math.ceil(len(fixed) / SHAPING)]
+        shared = self.correlation(field)[some][:, some].sum() / len(some)
+        self._surface.learn(plane, moved_px, sigma_px, some, shared, self.homography(field))
+        return self._surface.surface(plane)
+
     def displacement(
-        self, frame: JoinedFrame, method: str, view: FrameView, compensation: Compensation, plane: Plane
+        self,
+        frame: JoinedFrame,
+        method: str,
+        view: FrameView,
+        compensation: Compensation,
+        plane: Plane,
+        surface: Surface | None = None,
     ) -> DisplacementField:
-        """The displacement of all found subsets of a frame whose motion was compensated with this reference plane."""
+        """The displacement of all found subsets of a frame whose motion was compensated with this reference plane, and
+        whose pixels were freed of what the panel stands out of it, if its surface is given."""
         realignment = self._realignment(plane)
         motion = compensation.motion
         start = motion.reference_points(self.ideal_px, realignment)
@@ -153,6 +176,13 @@ class ReferenceFrame:
         per_x, per_y = (now(view.moved_px + shift) - moved for shift in np.eye(2))
         sigma_px = np.hypot(view.sigma_px, compensation.misfit_px)
         sigma = np.sqrt((per_x * sigma_px[:, :1]) ** 2 + (per_y * sigma_px[:, 1:]) ** 2)
+        modes = _modes(compensation, realignment, self.ideal_px)
+        if surface is not None:
+            found = np.isfinite(moved[:, 0])
+            shifts = surface.doubts_px(pose_from_homography(self.camera, view.seed, plane), view.fixed)
+            errors = shifts[..., :1] * per_x + shifts[..., 1:] * per_y
+            terms = np.linalg.pinv(quadratic_terms(start[found, :2]))
+            modes = np.concatenate([modes, np.einsum("qn,knc->kcq", terms, errors[:, found])])
         pi_variance = plane.normal @ plane.inverse_depth_covariance() @ plane.normal
         return DisplacementField(
             frame.field.stamp_ns,
@@ -167,7 +197,7 @@ class ReferenceFrame:
             start[:, :2],
             displacement_m,
             sigma.astype(np.float32),
-            _modes(compensation, realignment, self.ideal_px),
+            modes,
             self._zone_coupling(compensation.coupling, per_x, per_y),
             float(np.hypot(-plane.d * np.sqrt(pi_variance), self._accuracy)),
             u_step_m,

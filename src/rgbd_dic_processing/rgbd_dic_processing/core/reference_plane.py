@@ -36,15 +36,15 @@ class ReferencePlane:
 
     def __init__(self, camera: Camera, robust_sigmas: float):
         self._camera, self._robust_sigmas = camera, robust_sigmas
-        self._newest_ns = -1
+        self._latest_ns = -1
         self._carried: deque[WeightedPlane] = deque(maxlen=REMEMBERED)
         self.first: Plane | None = None
         self.mean: Plane | None = None
         self.first_agrees = True
 
     def knows(self, depth_stamp_ns: int) -> bool:
-        """Whether the plane of this ToF frame, or of a later one, is in already."""
-        return depth_stamp_ns <= self._newest_ns
+        """Whether the plane of this ToF frame was the last that came in."""
+        return depth_stamp_ns == self._latest_ns
 
     def add(
         self,
@@ -71,7 +71,7 @@ class ReferencePlane:
         if carried.normal[2] <= 0 or carried.d >= 0:
             raise MeasurementError("a ToF plane, carried to the reference, lies behind the camera")
         self._carried.append(weighted(carried))
-        self._newest_ns = depth_stamp_ns
+        self._latest_ns = depth_stamp_ns
         if self.first is None:
             self.first = carried
         self.mean = average_planes(self._carried)

@@ -7,7 +7,6 @@ from collections import deque
 import numpy as np
 
 from .keyframe import Found, stretch
-from .search import SeedSource
 from .settings import RenewalSettings
 
 
@@ -31,8 +30,7 @@ class RenewalNeed:
 
         That is so when enough images in a row have asked for it, and this one is not among the poorer half of them.
         """
-        of_itself = found.source == SeedSource.REFERENCE
-        if of_itself or not self._settings.after_frames or not found.correlation.valid.any():
+        if not self._settings.after_frames or not found.correlation.valid.any():
             return False
         zncc = float(np.median(found.correlation.zncc[found.correlation.valid]))
         self._best_zncc = max(self._best_zncc, zncc)

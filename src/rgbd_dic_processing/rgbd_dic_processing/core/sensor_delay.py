@@ -71,8 +71,14 @@ class DelayEstimate:
         self._planes: deque[tuple[Array, Array]] = deque(maxlen=REMEMBERED)
 
     def add(self, depth_stamp_ns: int, plane: Plane) -> None:
-        """The plane of a ToF frame at its own moment; one that is not later than those before is known already."""
-        if not self._stamps or depth_stamp_ns > self._stamps[-1]:
+        """The plane of the next ToF frame at its own moment; the same one again changes nothing.
+
+        One that is earlier begins anew, as the clocks jumped back.
+        """
+        if self._stamps and depth_stamp_ns < self._stamps[-1]:
+            self._stamps.clear()
+            self._planes.clear()
+        if not self._stamps or depth_stamp_ns != self._stamps[-1]:
             self._stamps.append(depth_stamp_ns)
             self._planes.append((plane.inverse_depth, np.linalg.inv(plane.inverse_depth_covariance())))
 

@@ -144,6 +144,13 @@ class CompensationSettings(Settings):
     deformation_order: int = setting(
         3, low=1, high=5, doc="h_joint: order of the polynomials that each side of the crack deforms by."
     )
+    bow_m: float = setting(
+        0.001,
+        unit="m",
+        low=0.0,
+        high=0.1,
+        doc="h_pose: how far the panel may stand out of its plane (standard deviation); 0: it is flat.",
+    )
     carry_offset_s: float = setting(
         0.01,
         unit="s",
@@ -174,6 +181,12 @@ class CrackSettings(Settings):
     """The opening between the zones on the two sides of the crack."""
 
     min_subsets: int = setting(3, unit="subsets", low=1, high=100000, doc="Fewest valid subsets on a side.")
+    min_found: float = setting(
+        0.5,
+        low=0.0,
+        high=1.0,
+        doc="Smallest share of a zone's subsets that must be valid; with less it counts as hidden.",
+    )
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from .regions import Regions
 from .renewal import RenewalNeed
 from .search import LEAST_AGREEING
 from .settings import RenewalSettings, SearchSettings
+from .stamps import Stretches
 from .status import FrameStatus
 from .subset_field import Reference, SubsetField
 
@@ -40,7 +41,7 @@ class SubsetTracking:
         self._camera, self._regions = camera, regions
         self._correlation, self._renewal = correlation, renewal or RenewalSettings()
         self._for_keyframes = (camera, correlation, search)
-        self._newest_ns = -1
+        self._stretches = Stretches()
         self._layout: SubsetLayout | None = None
         self._keyframe: Keyframe | None = None
         self._last: SubsetField | None = None
@@ -86,15 +87,17 @@ class SubsetTracking:
             reason = (
                 f"image is {image.shape[1]} x {image.shape[0]} px, the calibrated camera has {size[1]} x {size[0]} px"
             )
-        if stamp_ns <= self._newest_ns:
-            reason = f"its stamp is not later than that of the image before it ({self._newest_ns} ns)"
-        self._newest_ns = max(self._newest_ns, stamp_ns)
-        if self.reference is None and image is not None and not reason:
+        newest = self._stretches.newest
+        place = self._stretches.place(stamp_ns)
+        if place <= newest or place[0] > newest[0]:  # after a jump of the clock, this one alone is refused
+            reason = f"its stamp is not later than that of the image before it ({newest[1]} ns)"
+        first = self.reference is None
+        if first and image is not None and not reason:
             self._layout = self._layout or SubsetLayout(self._camera, self._regions, self._correlation)
             reason = self._take_reference(stamp_ns, image, np.eye(3), self._layout.drawn_px)
         if image is None or reason:
             return self._nothing(stamp_ns, FrameStatus.BAD_IMAGE, reason)
-        self._last = self._follow(stamp_ns, image)
+        self._last = self._field(stamp_ns, self._keyframe.itself()) if first else self._follow(stamp_ns, image)
         return self._last
 
     def _follow(self, stamp_ns: int, image: NDArray[np.uint8]) -> SubsetField:
@@ -107,7 +110,7 @@ class SubsetTracking:
             places = self._layout.places(tracked.homography, tracked.moved_px)
             self.refusal = self._take_reference(stamp_ns, image, tracked.homography, places)
             if not self.refusal:
-                return self._field(stamp_ns, self._keyframe.find(stamp_ns, image))
+                return self._field(stamp_ns, self._keyframe.itself())
         elif needed or self._wants_keyframe:
             self.refusal = self._take_keyframe(stamp_ns, image, found, tracked)
         return tracked

@@ -40,12 +40,13 @@ def frame_pair_message(make: MessageFactory, pair: FramePair, frame_id: str) -> 
         status=_status(make, pair.status),
         depth_stamp=stamp_message(make, pair.depth_stamp_ns or 0),
         depth_offset=float(pair.depth_offset_s),
+        reason=pair.reason,
     )
 
 
 def frame_pair_from_message(msg: Any) -> FramePair:
     paired = msg.status.value == FrameStatus.OK
-    return FramePair(stamp_to_ns(msg.header.stamp), stamp_to_ns(msg.depth_stamp) if paired else None)
+    return FramePair(stamp_to_ns(msg.header.stamp), stamp_to_ns(msg.depth_stamp) if paired else None, msg.reason)
 
 
 def plane_message(make: MessageFactory, estimate: PlaneEstimate, frame_id: str) -> Any:

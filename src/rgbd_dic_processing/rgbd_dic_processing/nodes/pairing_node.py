@@ -54,7 +54,7 @@ class PairingNode(Node):
                 self._diagnostics.ok()
             else:
                 self._diagnostics.count("without ToF frame")
-                self._diagnostics.warn("images without a ToF frame near enough in time")
+                self._diagnostics.warn(pair.reason)
             self._output.publish(frame_pair_message(make, pair, self._frame_id))
 
 

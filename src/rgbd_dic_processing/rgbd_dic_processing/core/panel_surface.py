@@ -1,0 +1,140 @@
+"""The shape of the panel in the reference: a plane, and how it is slightly curved, from how views differ (parallax).
+
+A camera that turns around a panel sees what stands out of its plane shift: by 0.2 mm for 0.8 mm under 15 degrees. What
+the ToF sensor knows of the shape is ten times coarser, so the images tell, as far as the camera did turn; before, the
+panel is taken for what the ToF sensor's plane says.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from rgbd_dic_acquisition.calibration import Camera
+
+from .compensation.h_pose import Pose, fit_pose, pixel_jacobian, pose_jacobian
+from .geometry import Plane, pose_from_homography
+from .uncertainty import independent_modes
+
+Array = NDArray[np.float64]
+
+TOF_ERROR_M = 0.004  # by which the ToF sensor's plane may be wrong at the panel's edges, whatever its noise
+INDEPENDENT = 10  # parts of the region that a misfit counts for: what deforms, deforms together
+
+
+@dataclass(frozen=True)
+class Surface:
+    """The panel in the reference frame: 1/z = terms . inverse_depth for the ray of each subset.
+
+    terms: (N, 6); the first three are the ray (g_x, g_y, 1), so that alone they are a plane; the others curve it.
+    inverse_depth: (6,) [1/m], with its covariance (6, 6).
+    """
+
+    camera: Camera
+    rays: Array
+    terms: Array
+    inverse_depth: Array
+    covariance: Array
+
+    @property
+    def plane(self) -> Plane:
+        """That is nearest to it over the whole panel."""
+        return Plane.from_inverse_depth(self.inverse_depth[:3], self.covariance[:3, :3])
+
+    def points(self) -> Array:
+        """(N, 3) of the subsets [m]."""
+        return self.rays / (self.terms @ self.inverse_depth)[:, None]
+
+    def parallax_px(self, pose: Pose) -> Array:
+        """(N, 2), by how much the subsets are seen elsewhere than if they lay on the plane [px]."""
+        R, t = pose
+        on_plane = self.plane.points(self.rays)
+        return self.camera.project(self.points() @ R.T + t) - self.camera.project(on_plane @ R.T + t)
+
+    def doubts_px(self, pose: Pose, fixed: NDArray[np.intp]) -> Array:
+        """(3, N, 2), how far the subsets may be seen elsewhere, for each independent error of the curvature of one
+        standard deviation: beyond what goes with the plane, and what the pose, fitted to the fixed region, takes up
+        [px]."""
+        plane, across = self.covariance[:3, :3], self.covariance[:3, 3:]
+        of_curvature = self.covariance[3:, 3:] - across.T @ np.linalg.solve(plane, across)
+        by_pose, by_shape = self.by_shape(pose)
+        shifts = np.tensordot(independent_modes(of_curvature), by_shape[3:], 1)
+        taken_up = np.linalg.pinv(by_pose[:, fixed].reshape(6, -1).T) @ shifts[:, fixed].reshape(len(shifts), -1).T
+        return shifts - np.tensordot(taken_up.T, by_pose, 1)
+
+    def by_shape(self, pose: Pose) -> tuple[Array, Array]:
+        """(6, N, 2), by how many pixels the subsets move with the pose (rotation vector, translation), and with
+        `inverse_depth`."""
+        R, t = pose
+        turned = self.points() @ R.T
+        steps = -turned * self.terms.T[:, :, None] / (self.terms @ self.inverse_depth)[:, None]
+        focal = np.array([self.camera.fx, self.camera.fy])
+        return pose_jacobian(focal, turned, turned + t), pixel_jacobian(focal, steps, turned + t)
+
+
+class SurfaceEstimate:
+    """Least squares of all views so far: each frame's pose is eliminated, what is left tells of the shape.
+
+    Args:
+        reference_px: (N, 2) ideal pixels of the subsets in the reference; NaN for those that it lacks.
+        bow_m: standard deviation that the panel is believed to stand out of its plane by.
+    """
+
+    def __init__(self, camera: Camera, reference_px: Array, bow_m: float, robust_sigmas: float):
+        self._camera, self._rays, self._robust_sigmas = camera, camera.rays(reference_px), robust_sigmas
+        known = np.isfinite(reference_px).all(axis=1)
+        self._terms = np.column_stack([self._rays, _curved(self._rays, known)])
+        self._bow_m = bow_m
+        self._information, self._weighed = np.zeros((6, 6)), np.zeros(6)
+
+    def surface(self, tof: Plane) -> Surface:
+        """As it is known now, with the plane that the ToF sensor saw."""
+        z2 = tof.d**2
+        reach = np.nanmax(np.abs(self._terms[:, :2]), axis=0)
+        accuracy = np.diag([*(TOF_ERROR_M / z2 / reach) ** 2, 0.0])
+        prior = np.zeros((6, 6))
+        prior[:3, :3] = np.linalg.inv(tof.inverse_depth_covariance() + accuracy)
+        prior[3:, 3:] = np.eye(3) * (z2 / self._bow_m) ** 2
+        covariance = np.linalg.inv(prior + self._information)
+        mean = covariance @ (prior[:, :3] @ tof.inverse_depth + self._weighed)
+        return Surface(self._camera, self._rays, self._terms, mean, covariance)
+
+    def learn(self, tof: Plane, moved_px: Array, sigma_px: Array, fixed: NDArray[np.intp], shared: float, seed: Array):
+        """Take in a view.
+
+        Args:
+            moved_px, sigma_px: (N, 2). fixed: (M,), the subsets of the fixed region that were found.
+            shared: how many subsets see the same noise, as they overlap.
+            seed: (3, 3), homography reference -> image, ideal pixels.
+
+        Raises:
+            MeasurementError: if the motion of the fixed region cannot be estimated.
+        """
+        now = self.surface(tof)
+        plane = now.plane
+        start = pose_from_homography(self._camera, seed, plane)
+        flat = (moved_px - now.parallax_px(start))[fixed]
+        pixels = self._camera.project(plane.points(self._rays[fixed]))
+        pose, _, weights, misfit_px = fit_pose(
+            self._camera, pixels, flat, sigma_px[fixed], plane, start, self._robust_sigmas
+        )
+        R, t = pose
+        residual = (moved_px - self._camera.project(now.points() @ R.T + t))[fixed].ravel()
+        by_pose, by_shape = (jacobian[:, fixed].reshape(6, -1) for jacobian in now.by_shape(pose))
+        counted = np.maximum(shared, len(fixed) / INDEPENDENT * misfit_px**2 / (sigma_px[fixed] ** 2 + misfit_px**2))
+        weights = (weights / counted).ravel()
+        onto_pose = np.linalg.solve((by_pose * weights) @ by_pose.T, (by_pose * weights) @ by_shape.T)
+        rest = by_shape - onto_pose.T @ by_pose
+        information = (rest * weights) @ rest.T
+        self._information += information
+        self._weighed += information @ now.inverse_depth + (rest * weights) @ residual
+
+
+def _curved(rays: Array, known: NDArray[np.bool_]) -> Array:
+    """(N, 3), x^2, x y and y^2 of the rays, each less the plane through it and at most 1 (subsets that are known)."""
+    x, y = rays[:, 0], rays[:, 1]
+    curved = np.column_stack([x * x, x * y, y * y])
+    planes = np.linalg.lstsq(rays[known], curved[known], rcond=None)[0]
+    curved = curved - rays @ planes
+    return curved / np.abs(curved[known]).max(axis=0)
