@@ -79,7 +79,8 @@ def test_h_2d_loses_a_part_of_the_opening_without_a_rigid_part(quick):
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_axes_of_the_panel_do_not_matter_but_those_of_the_crack(quick):
-    for method in METHODS:
+    """h_joint parts the panel along the crack as it is drawn, so there the crack itself is another one."""
+    for method in set(METHODS) - {"h_joint"}:
         drawn, panel, _, crack = (quick.rolled[name, method] for name in ROLLS)
         np.testing.assert_allclose(panel.columns["opening"], drawn.columns["opening"], atol=1e-4)
         turn = np.radians(2.5)
