@@ -282,6 +282,20 @@ def test_clocks_that_jump(flight: Path, edited, tmp_path: Path, by_s: float) -> 
                 assert float(mine["opening_mm"]) == pytest.approx(float(theirs["opening_mm"]), abs=limit_mm)
 
 
+def test_graph_and_clocks_that_jump(edited, tmp_path: Path) -> None:
+    """The graph has the same rows as the offline tool, with the same reasons."""
+    bag = edited(jumping({"camera": -0.25, "tof": -0.25}))
+    options = (bag, "--method", "h_pose,h_3d", "--out")
+    assert rgbd_dic("process", *options, tmp_path / "offline").returncode == 0
+    done = rgbd_dic("up", *options, tmp_path / "online", "--as-fast-as-possible", "--domain", "84")
+    assert done.returncode == 0, done.stderr
+    for method in ("h_pose", "h_3d"):
+        online, offline = rows(tmp_path / "online", method), rows(tmp_path / "offline", method)
+        assert len(online) == len(offline) == 30
+        for mine, theirs in zip(online, offline, strict=True):
+            assert mine | {"latency_s": "nan"} == theirs
+
+
 @pytest.mark.parametrize("by_s", [-0.5, 0.5])
 @pytest.mark.parametrize("sensor", ["camera", "tof"])
 def test_clock_of_one_sensor_jumps(edited, tmp_path: Path, sensor: str, by_s: float) -> None:
