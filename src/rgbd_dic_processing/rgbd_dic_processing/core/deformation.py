@@ -42,11 +42,11 @@ class DeformationBasis:
         stiff = len(strains)
         if len(sides) == 2:
             modes += _rigid_modes(scaled, right)
-        strain, degree = np.array(strains), np.tile(degrees, len(sides))
+        strain, degree = np.reshape(strains, (stiff, -1)), np.tile(degrees, len(sides))
+        gram = strain @ strain.T / len(points_m)
         energies = np.zeros((order, len(modes), len(modes)))
         for group, energy in enumerate(energies, start=1):
-            of_degree = np.where(degree == group, 1.0, 0.0)
-            energy[:stiff, :stiff] = np.einsum("p,q,pmk,qmk->pq", of_degree, of_degree, strain, strain) / len(points_m)
+            energy[:stiff, :stiff] = np.where(np.logical_and.outer(degree == group, degree == group), gram, 0)
         return cls(length * np.array(modes), energies, np.bincount(degree)[1:])
 
 

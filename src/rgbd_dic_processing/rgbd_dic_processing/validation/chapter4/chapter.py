@@ -17,7 +17,7 @@ from .regions import REGIONS, usual_region
 from .scenes import Values, laboratory_values
 
 METHODS = tuple(SOLVERS)
-MAPPED = ("beam", 1)  # the laboratory whose maps and histories are drawn
+MAPPED = ("beam", 1)  # the laboratory whose maps and histories are drawn, and compared with the 3D DIC
 ROLLS: dict[str, dict[str, Any]] = {  # axes drawn wrong: arguments of `measuring.measure`
     "as drawn": {},
     "x axis of the panel rolled by 2.5°": {"roll_deg": {"x_axis": 2.5}},
@@ -28,11 +28,13 @@ ROLLS: dict[str, dict[str, Any]] = {  # axes drawn wrong: arguments of `measurin
 
 @dataclass(frozen=True)
 class Scope:
-    """What is run. scale: of the images. region_seeds, budget_seeds: of the comparison of regions, of the budget."""
+    """What is run. scale: of the images. mapped_s: length of the laboratory `MAPPED`, others have duration_s.
+    region_seeds, budget_seeds: of the comparison of regions, of the budget."""
 
     fields: tuple[str, ...]
     seeds: tuple[int, ...]
     duration_s: float
+    mapped_s: float
     scale: float
     region_seeds: tuple[int, ...]
     budget_seeds: tuple[int, ...]
@@ -41,7 +43,8 @@ class Scope:
 
     def laboratory(self, field: str, seed: int) -> Values:
         """The settings of one."""
-        return laboratory_values(field, seed, self.duration_s, self.scale)
+        duration_s = self.mapped_s if (field, seed) == MAPPED else self.duration_s
+        return laboratory_values(field, seed, duration_s, self.scale)
 
     @property
     def without_rigid_part(self) -> tuple[str, ...]:
@@ -49,8 +52,8 @@ class Scope:
         return tuple(field for field in self.fields if usual_region(field) == "whole")
 
 
-FULL = Scope(("beam", "plate", "rigid_half"), (1, 2, 3, 4, 5), 5.0, 1.0, (1, 2), (1,), 2.0, tuple(SOURCES))
-QUICK = Scope(("beam", "rigid_half"), (1,), 2.6, 0.4, (1,), (1,), 0.5, ("none", "all"))
+FULL = Scope(("beam", "plate", "rigid_half"), (1, 2, 3, 4, 5), 2.4, 10.4, 1.0, (1, 2), (1,), 1.2, tuple(SOURCES))
+QUICK = Scope(("beam", "rigid_half"), (1,), 2.6, 2.6, 0.4, (1,), (1,), 0.5, ("none", "all"))
 BUDGET_SCALE = 0.5
 
 
@@ -59,7 +62,7 @@ class Chapter4:
     """All that was measured.
 
     histories: (field, seed, method, region) -> history; budget: (source, seed, method) -> history; rolled: (axes,
-    method) -> history in the laboratory `MAPPED`; aligned: (field, seed, method) -> result of `alignment.compare`.
+    method) -> history in the laboratory `MAPPED`; aligned: method -> result of `alignment.compare` in `MAPPED`.
     example: folder of the run of `MAPPED`, in that of the validation.
     """
 
@@ -67,7 +70,7 @@ class Chapter4:
     histories: dict[tuple[str, int, str, str], CrackHistory]
     budget: dict[tuple[str, int, str], CrackHistory]
     rolled: dict[tuple[str, str], CrackHistory]
-    aligned: dict[tuple[str, int, str], dict[str, Any]]
+    aligned: dict[str, dict[str, Any]]
     example: str
 
     def of(self, field: str, method: str, region: str | None = None) -> list[CrackHistory]:
@@ -103,7 +106,8 @@ def run_chapter4(folder: Path, scope: Scope, workers: int = 2, progress: Progres
         for region in REGIONS
         if region != usual_region(field)
     ]
-    total = 2 * (len(labs) + len(alone)) + 2 * len(usual) + len(others) + len(METHODS) * (len(alone) + len(ROLLS)) + 1
+    parts = len(METHODS) * (len(alone) + len(ROLLS) + 1)
+    total = 2 * (len(labs) + len(alone)) + len(usual) + len(others) + parts + 1
     done = 0
 
     def run(tasks: dict[Any, Task]) -> dict[Any, Any]:
@@ -152,10 +156,10 @@ def run_chapter4(folder: Path, scope: Scope, workers: int = 2, progress: Progres
     )
     aligned = run(
         {
-            (f, s, method): Task(
-                alignment.compare, {"laboratory": labs[f, s], "measured": histories[f, s, method, region]}
+            method: Task(
+                alignment.compare, {"laboratory": labs[MAPPED], "measured": histories[(*MAPPED, method, region)]}
             )
-            for f, s, method, region in usual
+            for method in METHODS
         }
     )
     examples = run({MAPPED: example.process_task(**inputs[MAPPED], methods=list(METHODS), region=region)})

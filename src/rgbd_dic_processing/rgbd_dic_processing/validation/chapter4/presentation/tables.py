@@ -46,8 +46,9 @@ def _as_in_the_thesis(data: Chapter4) -> str:
     for field in data.scope.fields:
         name = f"`{field}`, {REGION_WORDS[usual_region(field)]}, against the truth"
         rows.append((name, *(_mean_and_worst(data.of(field, method), "opening") for method in METHODS)))
-        cells = [_summary(_compared(data, field, method), "opening, spline") for method in METHODS]
-        rows.append((f"`{field}`, {REGION_WORDS[usual_region(field)]}, against the simulated 3D DIC", *cells))
+    field, region = MAPPED[0], REGION_WORDS[usual_region(MAPPED[0])]
+    cells = [_beside(data, method, "opening, spline") for method in METHODS]
+    rows.append((f"`{field}`, seed {MAPPED[1]}, {region}, against the simulated 3D DIC", *cells))
     return table(("RMS error [mm]", *_names()), rows)
 
 
@@ -59,26 +60,15 @@ def _aligned(data: Chapter4) -> str:
         "sliding, spline": "sliding, smoothing spline [mm]",
         "sliding, fourier": "sliding, Fourier series [mm]",
     }
-    rows = []
-    for field in data.scope.fields:
-        compared = {method: _compared(data, field, method) for method in METHODS}
-        for key, name in words.items():
-            rows.append((f"`{field}`", f"RMS, {name}", *(_summary(compared[method], key) for method in METHODS)))
-        delays = [[abs(1e3 * one["delay_error_s"]) for one in compared[method]] for method in METHODS]
-        cells = [f"{np.mean(values):.1f} ({max(values):.1f})" if values else NONE for values in delays]
-        rows.append((f"`{field}`", "delay found less the true one [ms]", *cells))
-    return table(("field", "", *_names()), rows)
+    rows = [(f"RMS, {name}", *(_beside(data, method, key) for method in METHODS)) for key, name in words.items()]
+    rows.append(("delay found less the true one [ms]", *(_beside(data, m, "delay_error_s", 1e3, 1) for m in METHODS)))
+    return table(("", *_names()), rows)
 
 
-def _compared(data: Chapter4, field: str, method: str) -> list[dict[str, Any]]:
-    """Of the seeds that could be compared."""
-    every = [data.aligned[field, seed, method] for seed in data.scope.seeds]
-    return [one for one in every if "reason" not in one]
-
-
-def _summary(compared: list[dict[str, Any]], key: str) -> str:
-    values = [one[key] for one in compared]
-    return f"{np.mean(values):.4f} ({max(values):.4f})" if values else NONE
+def _beside(data: Chapter4, method: str, key: str, factor: float = 1.0, digits: int = 4) -> str:
+    """A number of the comparison of `MAPPED` with the 3D DIC, if there is one."""
+    found = data.aligned[method]
+    return NONE if "reason" in found else f"{factor * found[key]:.{digits}f}"
 
 
 def _openings(data: Chapter4) -> str:
