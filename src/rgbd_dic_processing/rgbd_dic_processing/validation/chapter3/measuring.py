@@ -174,7 +174,8 @@ def measure(
     regions = panel_regions(reference, int(tracked.reference.subset_size))
     measured = {}
     for method in methods:
-        step = DisplacementMeasurement(camera, regions, CompensationSettings(method=method))
+        settings = CompensationSettings(method=method, bow_m=0.0)  # the depth is ideal, and the panel flat
+        step = DisplacementMeasurement(camera, regions, settings)
         step.set_reference(tracked.reference)
         for stamp, view, field in zip((REFERENCE_NS, IMAGE_NS), (reference, shot), tracked.fields, strict=True):
             step.add_plane(PlaneEstimate(stamp, FrameStatus.OK, "", exact_plane(view), step_m=0.0, u_step_m=0.0))
