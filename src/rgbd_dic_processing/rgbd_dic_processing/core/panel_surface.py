@@ -2,7 +2,7 @@
 
 A camera that turns around a panel sees what stands out of its plane shift: by 0.2 mm for 0.8 mm under 15 degrees. What
 the ToF sensor knows of the shape is ten times coarser, so the images tell, as far as the camera did turn; before, the
-panel is taken for what the ToF sensor's plane says.
+panel is taken for what the ToF sensor's plane says, and its curvature if that is asked for.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from rgbd_dic_acquisition.calibration import Camera
 
 from .compensation.h_pose import Pose, fit_pose, pixel_jacobian, pose_jacobian
+from .curvature import Curvature, tangents
 from .geometry import Plane, pose_from_homography
 from .uncertainty import independent_modes
 
@@ -88,19 +89,44 @@ class SurfaceEstimate:
         self._bow_m = bow_m
         self._information, self._weighed = np.zeros((6, 6)), np.zeros(6)
 
-    def surface(self, tof: Plane) -> Surface:
-        """As it is known now, with the plane that the ToF sensor saw."""
+    def surface(self, tof: Plane, bow: Curvature | None) -> Surface:
+        """As it is known now, with the plane that the ToF sensor saw, and the curvature about it if that counts."""
         z2 = tof.d**2
         reach = np.nanmax(np.abs(self._terms[:, :2]), axis=0)
         accuracy = np.diag([*(TOF_ERROR_M / z2 / reach) ** 2, 0.0])
         prior = np.zeros((6, 6))
         prior[:3, :3] = np.linalg.inv(tof.inverse_depth_covariance() + accuracy)
         prior[3:, 3:] = np.eye(3) * (z2 / self._bow_m) ** 2
+        weighed = prior[:, :3] @ tof.inverse_depth + self._weighed
+        if bow is not None:
+            by_curvature = self._by_curvature(tof)
+            seen = np.linalg.inv(by_curvature @ (bow.covariance + bow.systematic) @ by_curvature.T)
+            prior[3:, 3:] += seen
+            weighed[3:] += seen @ by_curvature @ bow.values
         covariance = np.linalg.inv(prior + self._information)
-        mean = covariance @ (prior[:, :3] @ tof.inverse_depth + self._weighed)
+        mean = covariance @ weighed
         return Surface(self._camera, self._rays, self._terms, mean, covariance)
 
-    def learn(self, tof: Plane, moved_px: Array, sigma_px: Array, fixed: NDArray[np.intp], shared: float, seed: Array):
+    def _by_curvature(self, plane: Plane) -> Array:
+        """(3, 3), how the curved part of `inverse_depth` goes with the curvature about a plane."""
+        known = np.isfinite(self._terms).all(axis=1)
+        points = plane.points(self._rays[known])
+        x, y = (points @ tangents(plane.normal)).T
+        height = np.column_stack([x * x / 2, x * y, y * y / 2])
+        # to first order a height moves the depth along the ray by height / (n . ray)
+        farther = -height / (points[:, 2] * (points @ plane.normal))[:, None]
+        return np.linalg.lstsq(self._terms[known], farther, rcond=None)[0][3:]
+
+    def learn(
+        self,
+        tof: Plane,
+        bow: Curvature | None,
+        moved_px: Array,
+        sigma_px: Array,
+        fixed: NDArray[np.intp],
+        shared: float,
+        seed: Array,
+    ):
         """Take in a view.
 
         Args:
@@ -111,7 +137,7 @@ class SurfaceEstimate:
         Raises:
             MeasurementError: if the motion of the fixed region cannot be estimated.
         """
-        now = self.surface(tof)
+        now = self.surface(tof, bow)
         plane = now.plane
         start = pose_from_homography(self._camera, seed, plane)
         flat = (moved_px - now.parallax_px(start))[fixed]

@@ -82,7 +82,13 @@ class ReferenceFrame:
                 self._accuracy = frame.plane.accuracy
             try:
                 self._planes.add(
-                    frame.plane.stamp_ns, plane, self.ideal_px[fixed], moved_px, sigma_px, self.homography(frame.field)
+                    frame.plane.stamp_ns,
+                    plane,
+                    self.ideal_px[fixed],
+                    moved_px,
+                    sigma_px,
+                    self.homography(frame.field),
+                    frame.plane.curvature,
                 )
             except (MeasurementError, np.linalg.LinAlgError) as error:
                 return FrameStatus.NO_PLANE, f"the plane of its ToF frame does not fit the motion ({error})"
@@ -141,15 +147,20 @@ class ReferenceFrame:
     def surface(
         self, plane: Plane, field: SubsetField, moved_px: Array, sigma_px: Array, fixed: NDArray[np.intp]
     ) -> Surface:
-        """The panel's shape as it is known with this view (N, 2), from the ToF sensor's plane and the fixed region.
+        """The panel's shape as it is known with this view (N, 2): from the ToF sensor's plane, from the parallax of the
+        fixed region, and, by `bow_from`, from the curvature that the sensor saw. h_joint has no use for parallax: its
+        region deforms, and the two are badly told apart.
 
         Raises:
             MeasurementError: if the motion of the fixed region cannot be estimated.
         """
+        bow = self._planes.curvature if self.settings.bow_from == "images_and_tof" else None
+        if self.settings.method == "h_joint":
+            return self._surface.surface(plane, bow)
         some = fixed[:: math.ceil(len(fixed) / SHAPING)]
         shared = self.correlation(field)[some][:, some].sum() / len(some)
-        self._surface.learn(plane, moved_px, sigma_px, some, shared, self.homography(field))
-        return self._surface.surface(plane)
+        self._surface.learn(plane, bow, moved_px, sigma_px, some, shared, self.homography(field))
+        return self._surface.surface(plane, bow)
 
     def displacement(
         self,
