@@ -53,6 +53,21 @@ class Surface:
         on_plane = self.plane.points(self.rays)
         return self.camera.project(self.points() @ R.T + t) - self.camera.project(on_plane @ R.T + t)
 
+    def pose_of(
+        self, moved_px: Array, sigma_px: Array, fixed: NDArray[np.intp], seed: Array, robust_sigmas: float
+    ) -> Pose:
+        """The pose in which the fixed subsets (M,) of (N, 2) are seen. That of the seed (3, 3), a homography that was
+        fitted to a bowed panel, is off by so much that the parallax would be.
+
+        Raises:
+            MeasurementError: if it cannot be estimated.
+        """
+        plane = self.plane
+        start = pose_from_homography(self.camera, seed, plane)
+        flat = (moved_px - self.parallax_px(start))[fixed]
+        pixels = self.camera.project(self.rays[fixed])
+        return fit_pose(self.camera, pixels, flat, sigma_px[fixed], plane, start, robust_sigmas)[0]
+
     def doubts_px(self, pose: Pose, fixed: NDArray[np.intp]) -> Array:
         """(3, N, 2), how far the subsets may be seen elsewhere, for each independent error of the curvature of one
         standard deviation: beyond what goes with the plane, and what the pose, fitted to the fixed region, takes up

@@ -12,6 +12,7 @@ from scipy.sparse import csr_matrix
 
 from .compensation.h_pose import fit_pose, sensitivity
 from .compensation.motion import Compensation, FrameView, PanelGeometry
+from .curvature import Curvature
 from .displacement_field import DisplacementField
 from .geometry import Plane, apply_homography, pose_from_homography
 from .joining import JoinedFrame
@@ -53,6 +54,7 @@ class ReferenceFrame:
         self._carried = CarriedPlanes(settings.plane_window_s)
         self._motion, self._delay = PanelMotion(), DelayEstimate()
         self._accuracy: float | None = None  # of the sensor, relative to the distance
+        self._tof_tells_bow = bool(settings.bow_m) and settings.bow_from == "images_and_tof"
         self._surface = SurfaceEstimate(camera, self.ideal_px, settings.bow_m, settings.robust_sigmas)
 
     def homography(self, field: SubsetField) -> Array:
@@ -81,18 +83,22 @@ class ReferenceFrame:
             if self._accuracy is None:
                 self._accuracy = frame.plane.accuracy
             try:
-                self._planes.add(
-                    frame.plane.stamp_ns,
-                    plane,
-                    self.ideal_px[fixed],
-                    moved_px,
-                    sigma_px,
-                    self.homography(frame.field),
-                    frame.plane.curvature,
-                )
+                seed, bow, back = self.homography(frame.field), frame.plane.curvature, None
+                if bow is not None and self._tof_tells_bow:
+                    back = self._back(plane, bow, seed, moved_px, sigma_px, fixed)
+                self._planes.add(frame.plane.stamp_ns, plane, self.ideal_px[fixed], moved_px, sigma_px, seed, bow, back)
             except (MeasurementError, np.linalg.LinAlgError) as error:
                 return FrameStatus.NO_PLANE, f"the plane of its ToF frame does not fit the motion ({error})"
         return None
+
+    def _back(
+        self, plane: Plane, bow: Curvature, seed: Array, moved_px: Array, sigma_px: Array, fixed: NDArray[np.intp]
+    ) -> Pose:
+        """The motion of a bowed panel from a frame to the reference; arguments as of `take_in_plane`."""
+        settings, seen_px, sigma = self.settings, apply_homography(seed, self.ideal_px), np.zeros_like(self.ideal_px)
+        seen_px[fixed], sigma[fixed] = moved_px, sigma_px
+        shape = SurfaceEstimate(self.camera, seen_px, settings.bow_m, settings.robust_sigmas).surface(plane, bow)
+        return shape.pose_of(self.ideal_px, sigma, fixed, np.linalg.inv(seed), settings.robust_sigmas)
 
     def follow(
         self, frame: JoinedFrame, plane: Plane | None, moved_px: Array, sigma_px: Array, fixed: NDArray[np.intp]
@@ -154,7 +160,7 @@ class ReferenceFrame:
         Raises:
             MeasurementError: if the motion of the fixed region cannot be estimated.
         """
-        bow = self._planes.curvature if self.settings.bow_from == "images_and_tof" else None
+        bow = self._planes.curvature if self._tof_tells_bow else None
         if self.settings.method == "h_joint":
             return self._surface.surface(plane, bow)
         some = fixed[:: math.ceil(len(fixed) / SHAPING)]

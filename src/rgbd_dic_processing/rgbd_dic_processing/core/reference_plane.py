@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rgbd_dic_acquisition.calibration import Camera
 from rgbd_dic_acquisition.errors import MeasurementError
 
-from .compensation.h_pose import fit_pose
+from .compensation.h_pose import Pose, fit_pose
 from .curvature import Curvature
 from .geometry import Plane, pose_from_homography
 
@@ -60,6 +60,7 @@ class ReferencePlane:
         sigma_px: Array,
         seed: Array,
         curvature: Curvature | None = None,
+        back: Pose | None = None,
     ) -> None:
         """Take in the plane of a ToF frame through an image near it in time.
 
@@ -68,12 +69,15 @@ class ReferencePlane:
             reference_px, moved_px, sigma_px: (M, 2), the fixed region's found subsets, ideal pixels.
             seed: (3, 3), homography reference -> image.
             curvature: of the panel about the plane, if known.
+            back: the motion to the reference, if it is known better than from the plane.
 
         Raises:
             MeasurementError: if the motion back to the reference cannot be estimated.
         """
-        start = pose_from_homography(self._camera, np.linalg.inv(seed), plane)
-        (R, t), *_ = fit_pose(self._camera, moved_px, reference_px, sigma_px, plane, start, self._robust_sigmas)
+        if back is None:
+            start = pose_from_homography(self._camera, np.linalg.inv(seed), plane)
+            back, *_ = fit_pose(self._camera, moved_px, reference_px, sigma_px, plane, start, self._robust_sigmas)
+        R, t = back
         carried = plane.moved(R, t)
         if carried.normal[2] <= 0 or carried.d >= 0:
             raise MeasurementError("a ToF plane, carried to the reference, lies behind the camera")
