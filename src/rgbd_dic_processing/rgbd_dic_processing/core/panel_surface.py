@@ -53,20 +53,19 @@ class Surface:
         on_plane = self.plane.points(self.rays)
         return self.camera.project(self.points() @ R.T + t) - self.camera.project(on_plane @ R.T + t)
 
-    def pose_of(
+    def fit_pose(
         self, moved_px: Array, sigma_px: Array, fixed: NDArray[np.intp], seed: Array, robust_sigmas: float
-    ) -> Pose:
-        """The pose in which the fixed subsets (M,) of (N, 2) are seen. That of the seed (3, 3), a homography that was
-        fitted to a bowed panel, is off by so much that the parallax would be.
+    ) -> tuple[Pose, Array, Array, float]:
+        """As `fit_pose`, of the subsets `fixed` (M,) of (N, 2), with the parallax in the pose of the seed (3, 3).
 
         Raises:
-            MeasurementError: if it cannot be estimated.
+            MeasurementError: if it does not converge.
         """
         plane = self.plane
         start = pose_from_homography(self.camera, seed, plane)
         flat = (moved_px - self.parallax_px(start))[fixed]
         pixels = self.camera.project(self.rays[fixed])
-        return fit_pose(self.camera, pixels, flat, sigma_px[fixed], plane, start, robust_sigmas)[0]
+        return fit_pose(self.camera, pixels, flat, sigma_px[fixed], plane, start, robust_sigmas)
 
     def doubts_px(self, pose: Pose, fixed: NDArray[np.intp]) -> Array:
         """(3, N, 2), how far the subsets may be seen elsewhere, for each independent error of the curvature of one
@@ -153,13 +152,7 @@ class SurfaceEstimate:
             MeasurementError: if the motion of the fixed region cannot be estimated.
         """
         now = self.surface(tof, bow)
-        plane = now.plane
-        start = pose_from_homography(self._camera, seed, plane)
-        flat = (moved_px - now.parallax_px(start))[fixed]
-        pixels = self._camera.project(plane.points(self._rays[fixed]))
-        pose, _, weights, misfit_px = fit_pose(
-            self._camera, pixels, flat, sigma_px[fixed], plane, start, self._robust_sigmas
-        )
+        pose, _, weights, misfit_px = now.fit_pose(moved_px, sigma_px, fixed, seed, self._robust_sigmas)
         R, t = pose
         residual = (moved_px - self._camera.project(now.points() @ R.T + t))[fixed].ravel()
         by_pose, by_shape = (jacobian[:, fixed].reshape(6, -1) for jacobian in now.by_shape(pose))

@@ -30,6 +30,7 @@ from .subset_field import Reference, SubsetField
 from .uncertainty import linear_modes, overlap_correlation, quadratic_terms
 
 Array = NDArray[np.float64]
+SHAPED = {"images": ("h_pose",), "images_and_tof": ("h_pose", "h_joint")}  # methods that are told the panel's shape
 SHAPING = 800  # subsets that the panel's shape is estimated from: they overlap, and more tell hardly more
 NEEDS_PLANE_OF_FRAME = ("h_3d", "pc_3d")  # as in the thesis: from the ToF frames of the two images alone
 
@@ -38,6 +39,7 @@ class ReferenceFrame:
     """One reference: what is computed once for it, its plane as it becomes known, and displacements against it.
 
     ideal_px: (N, 2), undistorted subset centres; NaN for those that it lacks. fixed: (N,) mask of the fixed region.
+    is_shaped: whether the panel is not taken for flat.
     """
 
     def __init__(self, camera: Camera, regions: Regions, settings: CompensationSettings, reference: Reference):
@@ -54,7 +56,8 @@ class ReferenceFrame:
         self._carried = CarriedPlanes(settings.plane_window_s)
         self._motion, self._delay = PanelMotion(), DelayEstimate()
         self._accuracy: float | None = None  # of the sensor, relative to the distance
-        self._tof_tells_bow = bool(settings.bow_m) and settings.bow_from == "images_and_tof"
+        shaped = bool(settings.bow_m) and settings.method in SHAPED[settings.bow_from]
+        self.is_shaped, self._tof_tells_bow = shaped, shaped and settings.bow_from == "images_and_tof"
         self._surface = SurfaceEstimate(camera, self.ideal_px, settings.bow_m, settings.robust_sigmas)
 
     def homography(self, field: SubsetField) -> Array:
@@ -98,7 +101,7 @@ class ReferenceFrame:
         settings, seen_px, sigma = self.settings, apply_homography(seed, self.ideal_px), np.zeros_like(self.ideal_px)
         seen_px[fixed], sigma[fixed] = moved_px, sigma_px
         shape = SurfaceEstimate(self.camera, seen_px, settings.bow_m, settings.robust_sigmas).surface(plane, bow)
-        return shape.pose_of(self.ideal_px, sigma, fixed, np.linalg.inv(seed), settings.robust_sigmas)
+        return shape.fit_pose(self.ideal_px, sigma, fixed, np.linalg.inv(seed), settings.robust_sigmas)[0]
 
     def follow(
         self, frame: JoinedFrame, plane: Plane | None, moved_px: Array, sigma_px: Array, fixed: NDArray[np.intp]
