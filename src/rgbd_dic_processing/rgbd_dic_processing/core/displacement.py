@@ -30,7 +30,6 @@ SOLVERS = {
     "h_2d": h_2d.compensate,
     "pc_3d": pc_3d.compensate,
 }
-SHAPED = ("h_pose",)  # methods that are told the shape of the panel
 
 
 class DisplacementMeasurement:
@@ -104,7 +103,7 @@ class DisplacementMeasurement:
             if carried is not None and plane is not None:
                 reference_plane, plane, pose = carried
             surface = None
-            if self._settings.bow_m and self._settings.method in SHAPED:
+            if base.is_shaped:
                 surface = base.surface(reference_plane, frame.field, moved_px, sigma_px, fixed)
                 reference_plane = surface.plane
                 seed = pose_from_homography(self._camera, base.homography(frame.field), reference_plane)

@@ -2,7 +2,7 @@
 
 A camera that turns around a panel sees what stands out of its plane shift: by 0.2 mm for 0.8 mm under 15 degrees. What
 the ToF sensor knows of the shape is ten times coarser, so the images tell, as far as the camera did turn; before, the
-panel is taken for what the ToF sensor's plane says.
+panel is taken for what the ToF sensor's plane says, and its curvature if that is asked for.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from rgbd_dic_acquisition.calibration import Camera
 
 from .compensation.h_pose import Pose, fit_pose, pixel_jacobian, pose_jacobian
+from .curvature import Curvature, tangents
 from .geometry import Plane, pose_from_homography
 from .uncertainty import independent_modes
 
@@ -52,6 +53,20 @@ class Surface:
         on_plane = self.plane.points(self.rays)
         return self.camera.project(self.points() @ R.T + t) - self.camera.project(on_plane @ R.T + t)
 
+    def fit_pose(
+        self, moved_px: Array, sigma_px: Array, fixed: NDArray[np.intp], seed: Array, robust_sigmas: float
+    ) -> tuple[Pose, Array, Array, float]:
+        """As `fit_pose`, of the subsets `fixed` (M,) of (N, 2), with the parallax in the pose of the seed (3, 3).
+
+        Raises:
+            MeasurementError: if it does not converge.
+        """
+        plane = self.plane
+        start = pose_from_homography(self.camera, seed, plane)
+        flat = (moved_px - self.parallax_px(start))[fixed]
+        pixels = self.camera.project(self.rays[fixed])
+        return fit_pose(self.camera, pixels, flat, sigma_px[fixed], plane, start, robust_sigmas)
+
     def doubts_px(self, pose: Pose, fixed: NDArray[np.intp]) -> Array:
         """(3, N, 2), how far the subsets may be seen elsewhere, for each independent error of the curvature of one
         standard deviation: beyond what goes with the plane, and what the pose, fitted to the fixed region, takes up
@@ -88,19 +103,44 @@ class SurfaceEstimate:
         self._bow_m = bow_m
         self._information, self._weighed = np.zeros((6, 6)), np.zeros(6)
 
-    def surface(self, tof: Plane) -> Surface:
-        """As it is known now, with the plane that the ToF sensor saw."""
+    def surface(self, tof: Plane, bow: Curvature | None) -> Surface:
+        """As it is known now, with the plane that the ToF sensor saw, and the curvature about it if that counts."""
         z2 = tof.d**2
         reach = np.nanmax(np.abs(self._terms[:, :2]), axis=0)
         accuracy = np.diag([*(TOF_ERROR_M / z2 / reach) ** 2, 0.0])
         prior = np.zeros((6, 6))
         prior[:3, :3] = np.linalg.inv(tof.inverse_depth_covariance() + accuracy)
         prior[3:, 3:] = np.eye(3) * (z2 / self._bow_m) ** 2
+        weighed = prior[:, :3] @ tof.inverse_depth + self._weighed
+        if bow is not None:
+            by_curvature = self._by_curvature(tof)
+            seen = np.linalg.inv(by_curvature @ (bow.covariance + bow.systematic) @ by_curvature.T)
+            prior[3:, 3:] += seen
+            weighed[3:] += seen @ by_curvature @ bow.values
         covariance = np.linalg.inv(prior + self._information)
-        mean = covariance @ (prior[:, :3] @ tof.inverse_depth + self._weighed)
+        mean = covariance @ weighed
         return Surface(self._camera, self._rays, self._terms, mean, covariance)
 
-    def learn(self, tof: Plane, moved_px: Array, sigma_px: Array, fixed: NDArray[np.intp], shared: float, seed: Array):
+    def _by_curvature(self, plane: Plane) -> Array:
+        """(3, 3), how the curved part of `inverse_depth` goes with the curvature about a plane."""
+        known = np.isfinite(self._terms).all(axis=1)
+        points = plane.points(self._rays[known])
+        x, y = (points @ tangents(plane.normal)).T
+        height = np.column_stack([x * x / 2, x * y, y * y / 2])
+        # to first order a height moves the depth along the ray by height / (n . ray)
+        farther = -height / (points[:, 2] * (points @ plane.normal))[:, None]
+        return np.linalg.lstsq(self._terms[known], farther, rcond=None)[0][3:]
+
+    def learn(
+        self,
+        tof: Plane,
+        bow: Curvature | None,
+        moved_px: Array,
+        sigma_px: Array,
+        fixed: NDArray[np.intp],
+        shared: float,
+        seed: Array,
+    ):
         """Take in a view.
 
         Args:
@@ -111,14 +151,8 @@ class SurfaceEstimate:
         Raises:
             MeasurementError: if the motion of the fixed region cannot be estimated.
         """
-        now = self.surface(tof)
-        plane = now.plane
-        start = pose_from_homography(self._camera, seed, plane)
-        flat = (moved_px - now.parallax_px(start))[fixed]
-        pixels = self._camera.project(plane.points(self._rays[fixed]))
-        pose, _, weights, misfit_px = fit_pose(
-            self._camera, pixels, flat, sigma_px[fixed], plane, start, self._robust_sigmas
-        )
+        now = self.surface(tof, bow)
+        pose, _, weights, misfit_px = now.fit_pose(moved_px, sigma_px, fixed, seed, self._robust_sigmas)
         R, t = pose
         residual = (moved_px - self._camera.project(now.points() @ R.T + t))[fixed].ravel()
         by_pose, by_shape = (jacobian[:, fixed].reshape(6, -1) for jacobian in now.by_shape(pose))

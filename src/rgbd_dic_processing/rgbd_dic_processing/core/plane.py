@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from rgbd_dic_acquisition.calibration import Calibration, Camera, pixel_rays
 from rgbd_dic_acquisition.errors import CalibrationError, ImageError, MeasurementError
 
+from .curvature import Curvature, fit_curvature
 from .geometry import Plane, apply_homography
 from .msac import msac
 from .plane_uncertainty import block_covariance, systematic_covariance
@@ -37,6 +38,7 @@ class PlaneEstimate:
     two add up to how far the plane is from the true one. None if not known.
     step_m, u_step_m: how far the panel's right side lies behind its left side at the crack, along the normal, and the
     standard uncertainty of that; from a plane through each side. NaN without a crack or with too few points.
+    curvature: how the panel is bowed about the plane; None if not known.
     """
 
     stamp_ns: int
@@ -49,6 +51,7 @@ class PlaneEstimate:
     step_m: float = math.nan
     u_step_m: float = math.nan
     systematic: Array | None = None
+    curvature: Curvature | None = None
 
     @property
     def accuracy(self) -> float:
@@ -241,6 +244,7 @@ class PanelPlane:
             step_m,
             u_step_m,
             systematic_covariance(on_panel[inliers], plane, sensor_m, self._settings),
+            fit_curvature(on_panel, plane, sensor_m, self._settings),
         )
 
     def _step(self, points_m: Array, reference_px: Array, plane: Plane) -> tuple[float, float]:

@@ -12,6 +12,7 @@ from scipy.sparse import csr_matrix
 
 from .compensation.h_pose import fit_pose, sensitivity
 from .compensation.motion import Compensation, FrameView, PanelGeometry
+from .curvature import Curvature
 from .displacement_field import DisplacementField
 from .geometry import Plane, apply_homography, pose_from_homography
 from .joining import JoinedFrame
@@ -29,6 +30,7 @@ from .subset_field import Reference, SubsetField
 from .uncertainty import linear_modes, overlap_correlation, quadratic_terms
 
 Array = NDArray[np.float64]
+SHAPED = {"images": ("h_pose",), "images_and_tof": ("h_pose", "h_joint")}  # methods that are told the panel's shape
 SHAPING = 800  # subsets that the panel's shape is estimated from: they overlap, and more tell hardly more
 NEEDS_PLANE_OF_FRAME = ("h_3d", "pc_3d")  # as in the thesis: from the ToF frames of the two images alone
 
@@ -37,6 +39,7 @@ class ReferenceFrame:
     """One reference: what is computed once for it, its plane as it becomes known, and displacements against it.
 
     ideal_px: (N, 2), undistorted subset centres; NaN for those that it lacks. fixed: (N,) mask of the fixed region.
+    is_shaped: whether the panel is not taken for flat.
     """
 
     def __init__(self, camera: Camera, regions: Regions, settings: CompensationSettings, reference: Reference):
@@ -53,6 +56,8 @@ class ReferenceFrame:
         self._carried = CarriedPlanes(settings.plane_window_s)
         self._motion, self._delay = PanelMotion(), DelayEstimate()
         self._accuracy: float | None = None  # of the sensor, relative to the distance
+        shaped = bool(settings.bow_m) and settings.method in SHAPED[settings.bow_from]
+        self.is_shaped, self._tof_tells_bow = shaped, shaped and settings.bow_from == "images_and_tof"
         self._surface = SurfaceEstimate(camera, self.ideal_px, settings.bow_m, settings.robust_sigmas)
 
     def homography(self, field: SubsetField) -> Array:
@@ -81,12 +86,22 @@ class ReferenceFrame:
             if self._accuracy is None:
                 self._accuracy = frame.plane.accuracy
             try:
-                self._planes.add(
-                    frame.plane.stamp_ns, plane, self.ideal_px[fixed], moved_px, sigma_px, self.homography(frame.field)
-                )
+                seed, bow, back = self.homography(frame.field), frame.plane.curvature, None
+                if bow is not None and self._tof_tells_bow:
+                    back = self._back(plane, bow, seed, moved_px, sigma_px, fixed)
+                self._planes.add(frame.plane.stamp_ns, plane, self.ideal_px[fixed], moved_px, sigma_px, seed, bow, back)
             except (MeasurementError, np.linalg.LinAlgError) as error:
                 return FrameStatus.NO_PLANE, f"the plane of its ToF frame does not fit the motion ({error})"
         return None
+
+    def _back(
+        self, plane: Plane, bow: Curvature, seed: Array, moved_px: Array, sigma_px: Array, fixed: NDArray[np.intp]
+    ) -> Pose:
+        """The motion of a bowed panel from a frame to the reference; arguments as of `take_in_plane`."""
+        settings, seen_px, sigma = self.settings, apply_homography(seed, self.ideal_px), np.zeros_like(self.ideal_px)
+        seen_px[fixed], sigma[fixed] = moved_px, sigma_px
+        shape = SurfaceEstimate(self.camera, seen_px, settings.bow_m, settings.robust_sigmas).surface(plane, bow)
+        return shape.fit_pose(self.ideal_px, sigma, fixed, np.linalg.inv(seed), settings.robust_sigmas)[0]
 
     def follow(
         self, frame: JoinedFrame, plane: Plane | None, moved_px: Array, sigma_px: Array, fixed: NDArray[np.intp]
@@ -141,15 +156,20 @@ class ReferenceFrame:
     def surface(
         self, plane: Plane, field: SubsetField, moved_px: Array, sigma_px: Array, fixed: NDArray[np.intp]
     ) -> Surface:
-        """The panel's shape as it is known with this view (N, 2), from the ToF sensor's plane and the fixed region.
+        """The panel's shape as it is known with this view (N, 2): from the ToF sensor's plane, from the parallax of the
+        fixed region, and, by `bow_from`, from the curvature that the sensor saw. h_joint has no use for parallax: its
+        region deforms, and the two are badly told apart.
 
         Raises:
             MeasurementError: if the motion of the fixed region cannot be estimated.
         """
+        bow = self._planes.curvature if self._tof_tells_bow else None
+        if self.settings.method == "h_joint":
+            return self._surface.surface(plane, bow)
         some = fixed[:: math.ceil(len(fixed) / SHAPING)]
         shared = self.correlation(field)[some][:, some].sum() / len(some)
-        self._surface.learn(plane, moved_px, sigma_px, some, shared, self.homography(field))
-        return self._surface.surface(plane)
+        self._surface.learn(plane, bow, moved_px, sigma_px, some, shared, self.homography(field))
+        return self._surface.surface(plane, bow)
 
     def displacement(
         self,

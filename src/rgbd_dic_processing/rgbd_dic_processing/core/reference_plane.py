@@ -10,11 +10,13 @@ from numpy.typing import NDArray
 from rgbd_dic_acquisition.calibration import Camera
 from rgbd_dic_acquisition.errors import MeasurementError
 
-from .compensation.h_pose import fit_pose
+from .compensation.h_pose import Pose, fit_pose
+from .curvature import Curvature
 from .geometry import Plane, pose_from_homography
 
 Array = NDArray[np.float64]
-WeightedPlane = tuple[Array, Array]  # pi = n / -d (3,), and the inverse of its covariance (3, 3)
+Weighted = tuple[Array, Array]  # three numbers (3,), and the inverse of their covariance (3, 3)
+WeightedPlane = Weighted  # pi = n / -d
 REMEMBERED = 200  # planes that are averaged, the latest ones: ten seconds at 20 Hz
 OUTLIER = 4.0  # distance from the median, in units of what the planes scatter, beyond which one is left out
 CHI2_MEDIAN = 2.366  # median of chi^2 with three degrees of freedom
@@ -32,15 +34,18 @@ class ReferencePlane:
         first: the first plane, carried to the reference; None before.
         mean: the average; None before the first.
         first_agrees: whether the first plane is not one of those left out.
+        curvature: the average of how the panel is bowed, in axes of `mean`; None as long as no frame told.
     """
 
     def __init__(self, camera: Camera, robust_sigmas: float):
         self._camera, self._robust_sigmas = camera, robust_sigmas
         self._latest_ns = -1
         self._carried: deque[WeightedPlane] = deque(maxlen=REMEMBERED)
+        self._curvatures: deque[Weighted] = deque(maxlen=REMEMBERED)
         self.first: Plane | None = None
         self.mean: Plane | None = None
         self.first_agrees = True
+        self.curvature: Curvature | None = None
 
     def knows(self, depth_stamp_ns: int) -> bool:
         """Whether the plane of this ToF frame was the last that came in."""
@@ -54,6 +59,8 @@ class ReferencePlane:
         moved_px: Array,
         sigma_px: Array,
         seed: Array,
+        curvature: Curvature | None = None,
+        back: Pose | None = None,
     ) -> None:
         """Take in the plane of a ToF frame through an image near it in time.
 
@@ -61,12 +68,16 @@ class ReferencePlane:
             plane: in the image's frame.
             reference_px, moved_px, sigma_px: (M, 2), the fixed region's found subsets, ideal pixels.
             seed: (3, 3), homography reference -> image.
+            curvature: of the panel about the plane, if known.
+            back: the motion to the reference, if it is known better than from the plane.
 
         Raises:
             MeasurementError: if the motion back to the reference cannot be estimated.
         """
-        start = pose_from_homography(self._camera, np.linalg.inv(seed), plane)
-        (R, t), *_ = fit_pose(self._camera, moved_px, reference_px, sigma_px, plane, start, self._robust_sigmas)
+        if back is None:
+            start = pose_from_homography(self._camera, np.linalg.inv(seed), plane)
+            back, *_ = fit_pose(self._camera, moved_px, reference_px, sigma_px, plane, start, self._robust_sigmas)
+        R, t = back
         carried = plane.moved(R, t)
         if carried.normal[2] <= 0 or carried.d >= 0:
             raise MeasurementError("a ToF plane, carried to the reference, lies behind the camera")
@@ -78,6 +89,13 @@ class ReferencePlane:
         median, scatter = _middle(*_stacked(self._carried))
         pi, weight = weighted(self.first)
         self.first_agrees = bool((pi - median) @ weight @ (pi - median) <= OUTLIER**2 * scatter)
+        if curvature is not None:
+            self._add_curvature(curvature.turned(plane.normal, R))
+
+    def _add_curvature(self, carried: Curvature) -> None:
+        self._curvatures.append((carried.values, np.linalg.inv(carried.covariance)))
+        shared = carried.systematic if self.curvature is None else self.curvature.systematic
+        self.curvature = Curvature(*weighted_mean(self._curvatures), shared)
 
 
 def weighted(plane: Plane) -> WeightedPlane:
@@ -86,30 +104,35 @@ def weighted(plane: Plane) -> WeightedPlane:
 
 
 def average_planes(planes: Collection[WeightedPlane]) -> Plane:
-    """The weighted mean of planes of one frame, without those far from the median.
+    """The `weighted_mean` of planes of one frame."""
+    return Plane.from_inverse_depth(*weighted_mean(planes))
+
+
+def weighted_mean(parts: Collection[Weighted]) -> tuple[Array, Array]:
+    """The mean (3,) of weighted values without those far from the median, and its covariance (3, 3).
 
     If they scatter more than their covariances say, it is given the larger uncertainty.
     """
-    pi, weights = _stacked(planes)
-    median, scatter = _middle(pi, weights)
-    kept = _squared(pi - median, weights) <= OUTLIER**2 * scatter
+    values, weights = _stacked(parts)
+    median, scatter = _middle(values, weights)
+    kept = _squared(values - median, weights) <= OUTLIER**2 * scatter
     covariance = np.linalg.inv(weights[kept].sum(axis=0))
-    mean = covariance @ np.einsum("nij,nj->i", weights[kept], pi[kept])
+    mean = covariance @ np.einsum("nij,nj->i", weights[kept], values[kept])
     freedom = 3 * (np.sum(kept) - 1)
     if freedom:
-        covariance = covariance * max(1.0, float(_squared(pi[kept] - mean, weights[kept]).sum()) / freedom)
-    return Plane.from_inverse_depth(mean, covariance)
+        covariance = covariance * max(1.0, float(_squared(values[kept] - mean, weights[kept]).sum()) / freedom)
+    return mean, covariance
 
 
-def _stacked(planes: Collection[WeightedPlane]) -> tuple[Array, Array]:
-    """pi (n, 3) and the weights (n, 3, 3)."""
-    return np.array([pi for pi, _ in planes]), np.array([weight for _, weight in planes])
+def _stacked(parts: Collection[Weighted]) -> tuple[Array, Array]:
+    """The values (n, 3) and the weights (n, 3, 3)."""
+    return np.array([value for value, _ in parts]), np.array([weight for _, weight in parts])
 
 
-def _middle(pi: Array, weights: Array) -> tuple[Array, float]:
+def _middle(values: Array, weights: Array) -> tuple[Array, float]:
     """The median (3,), and how many times their variance the squared distances from it are, at least 1."""
-    median = np.median(pi, axis=0)
-    return median, max(1.0, float(np.median(_squared(pi - median, weights))) / CHI2_MEDIAN)
+    median = np.median(values, axis=0)
+    return median, max(1.0, float(np.median(_squared(values - median, weights))) / CHI2_MEDIAN)
 
 
 def _squared(differences: Array, weights: Array) -> Array:

@@ -20,6 +20,7 @@ from rgbd_dic_acquisition.messages import (
 )
 
 from ..core.crack import CrackOpening
+from ..core.curvature import Curvature
 from ..core.displacement_field import DisplacementField
 from ..core.geometry import Plane
 from ..core.pairing import FramePair
@@ -54,6 +55,7 @@ def plane_message(make: MessageFactory, estimate: PlaneEstimate, frame_id: str) 
     coefficients = np.full(4, np.nan) if plane is None else np.append(plane.normal, plane.d)
     covariance = np.full(16, np.nan) if plane is None else plane.covariance.ravel()
     systematic = np.full(16, np.nan) if estimate.systematic is None else estimate.systematic.ravel()
+    bow = estimate.curvature or Curvature(np.full(3, np.nan), np.full((3, 3), np.nan), np.full((3, 3), np.nan))
     return make(
         "rgbd_dic_msgs/msg/PlaneStamped",
         header=header_message(make, estimate.stamp_ns, frame_id),
@@ -67,6 +69,9 @@ def plane_message(make: MessageFactory, estimate: PlaneEstimate, frame_id: str) 
         residual_rms=float(estimate.residual_rms_m),
         step=float(estimate.step_m),
         u_step=float(estimate.u_step_m),
+        curvature=bow.values,
+        curvature_covariance=bow.covariance.ravel(),
+        curvature_systematic_covariance=bow.systematic.ravel(),
     )
 
 
@@ -75,6 +80,11 @@ def plane_from_message(msg: Any) -> PlaneEstimate:
     coefficients = np.array(msg.plane.coef, float)
     plane = Plane(coefficients[:3], float(coefficients[3]), np.array(msg.covariance, float).reshape(4, 4))
     systematic = np.array(msg.systematic_covariance, float).reshape(4, 4)
+    bow = Curvature(
+        np.array(msg.curvature, float),
+        np.array(msg.curvature_covariance, float).reshape(3, 3),
+        np.array(msg.curvature_systematic_covariance, float).reshape(3, 3),
+    )
     return PlaneEstimate(
         stamp_to_ns(msg.header.stamp),
         status,
@@ -86,6 +96,7 @@ def plane_from_message(msg: Any) -> PlaneEstimate:
         float(msg.step),
         float(msg.u_step),
         None if np.isnan(systematic).any() else systematic,
+        None if np.isnan(bow.values).any() else bow,
     )
 
 
