@@ -109,7 +109,7 @@ FROM_RUN: dict[str, dict[str, Callable[[], str | None]]] = {
     },
     "docs/validation_chapter4.md": {
         name: chapter_table("chapter4", name)
-        for name in ("facts", "criteria", "thesis", "openings", "aligned", "regions", "maps", "budget", "axes")
+        for name in ("facts", "criteria", "thesis", "openings", "aligned", "regions", "maps", "budget", "hard", "axes")
     },
 }
 PROCESSING_YAML = ROOT / "src/rgbd_dic_processing/config/processing.yaml"

@@ -9,7 +9,7 @@ from typing import Any
 
 from ...core.displacement import SOLVERS
 from ..running import Progress, Task, run_tasks
-from . import alignment, example, measuring, planes
+from . import alignment, example, hard_flight, measuring, planes
 from .budget import SOURCES, field_with, laboratory_with
 from .errors import CrackHistory
 from .recording import recording_task
@@ -17,6 +17,7 @@ from .regions import REGIONS, usual_region
 from .scenes import Values, laboratory_values
 
 METHODS = tuple(SOLVERS)
+HARD = (("rigid_half", "h_pose"), ("beam", "h_joint"))  # fields of the hard flights, and the method for each
 MAPPED = ("beam", 1)  # the laboratory whose maps and histories are drawn, and compared with the 3D DIC
 ROLLS: dict[str, dict[str, Any]] = {  # axes drawn wrong: arguments of `measuring.measure`
     "as drawn": {},
@@ -29,7 +30,7 @@ ROLLS: dict[str, dict[str, Any]] = {  # axes drawn wrong: arguments of `measurin
 @dataclass(frozen=True)
 class Scope:
     """What is run. scale: of the images. mapped_s: length of the laboratory `MAPPED`, others have duration_s.
-    region_seeds, budget_seeds: of the comparison of regions, of the budget."""
+    region_seeds, budget_seeds, hard_seeds: of the comparison of regions, of the budget, of the hard flights."""
 
     fields: tuple[str, ...]
     seeds: tuple[int, ...]
@@ -40,6 +41,8 @@ class Scope:
     budget_seeds: tuple[int, ...]
     budget_s: float
     sources: tuple[str, ...]
+    hard_seeds: tuple[int, ...]
+    hard_s: float
 
     def laboratory(self, field: str, seed: int) -> Values:
         """The settings of one."""
@@ -52,8 +55,33 @@ class Scope:
         return tuple(field for field in self.fields if usual_region(field) == "whole")
 
 
-FULL = Scope(("beam", "plate", "rigid_half"), (1, 2, 3, 4, 5), 2.4, 10.4, 1.0, (1, 2), (1,), 1.2, tuple(SOURCES))
-QUICK = Scope(("beam", "rigid_half"), (1,), 2.6, 2.6, 0.4, (1,), (1,), 0.5, ("none", "all"))
+SEEDS = (1, 2, 3, 4, 5)
+FULL = Scope(
+    fields=("beam", "plate", "rigid_half"),
+    seeds=SEEDS,
+    duration_s=2.4,
+    mapped_s=10.4,
+    scale=1.0,
+    region_seeds=(1, 2),
+    budget_seeds=(1,),
+    budget_s=1.2,
+    sources=tuple(SOURCES),
+    hard_seeds=SEEDS,
+    hard_s=6.0,
+)
+QUICK = Scope(
+    fields=("beam", "rigid_half"),
+    seeds=(1,),
+    duration_s=2.6,
+    mapped_s=2.6,
+    scale=0.4,
+    region_seeds=(1,),
+    budget_seeds=(1,),
+    budget_s=0.5,
+    sources=("none", "all"),
+    hard_seeds=(),
+    hard_s=0.0,
+)
 BUDGET_SCALE = 0.5
 
 
@@ -63,6 +91,7 @@ class Chapter4:
 
     histories: (field, seed, method, region) -> history; budget: (source, seed, method) -> history; rolled: (axes,
     method) -> history in the laboratory `MAPPED`; aligned: method -> result of `alignment.compare` in `MAPPED`.
+    hard: (field, method, seed) -> result of `hard_flight.hard_flight`.
     example: folder of the run of `MAPPED`, in that of the validation.
     """
 
@@ -71,6 +100,7 @@ class Chapter4:
     budget: dict[tuple[str, int, str], CrackHistory]
     rolled: dict[tuple[str, str], CrackHistory]
     aligned: dict[str, dict[str, Any]]
+    hard: dict[tuple[str, str, int], dict[str, Any]]
     example: str
 
     def of(self, field: str, method: str, region: str | None = None) -> list[CrackHistory]:
@@ -107,7 +137,7 @@ def run_chapter4(folder: Path, scope: Scope, workers: int = 2, progress: Progres
         if region != usual_region(field)
     ]
     parts = len(METHODS) * (len(alone) + len(ROLLS) + 1)
-    total = 2 * (len(labs) + len(alone)) + len(usual) + len(others) + parts + 1
+    total = 2 * (len(labs) + len(alone)) + len(usual) + len(others) + parts + 1 + len(HARD) * len(scope.hard_seeds)
     done = 0
 
     def run(tasks: dict[Any, Task]) -> dict[Any, Any]:
@@ -162,6 +192,16 @@ def run_chapter4(folder: Path, scope: Scope, workers: int = 2, progress: Progres
             for method in METHODS
         }
     )
+    flights = [(field, method, seed) for field, method in HARD for seed in scope.hard_seeds]
+    hard = run(
+        {
+            (field, method, seed): Task(
+                hard_flight.hard_flight,
+                {"field": field, "method": method, "seed": seed, "duration_s": scope.hard_s},
+            )
+            for field, method, seed in flights
+        }
+    )
     examples = run({MAPPED: example.process_task(**inputs[MAPPED], methods=list(METHODS), region=region)})
     return Chapter4(
         scope,
@@ -169,5 +209,6 @@ def run_chapter4(folder: Path, scope: Scope, workers: int = 2, progress: Progres
         {key: CrackHistory(entry) for key, entry in budget.items()},
         {key: CrackHistory(entry) for key, entry in rolled.items()},
         aligned,
+        hard,
         examples[MAPPED],
     )

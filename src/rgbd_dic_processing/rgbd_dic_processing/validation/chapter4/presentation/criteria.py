@@ -20,6 +20,7 @@ def criteria(data: Chapter4) -> list[Criterion]:
         *_whole_panel(data),
         *_uncertainty(data),
         *_maps(data),
+        *(_hard(data) if data.hard else ()),
     ]
 
 
@@ -68,3 +69,13 @@ def _maps(data: Chapter4) -> Iterator[Criterion]:
     if "h_joint" in METHODS:
         largest = max(max(history.map_rms()) for history in _of_all(data, "h_joint"))
         yield Criterion("no rigid part, whole panel, `h_joint`: RMS error of the map", largest, MAP_LIMIT_PX, "px")
+
+
+def _hard(data: Chapter4) -> Iterator[Criterion]:
+    flights = data.hard.values()
+    largest = max(flight["largest_mm"] for flight in flights)
+    yield Criterion("hard flights: largest error of a frame whose zones are visible", largest, 0.02)
+    missed = sum(not flight["flagged"] for flight in flights)
+    yield Criterion("hard flights in which a hidden zone is not flagged", missed, 0, unit="")
+    later = max(flight["frames_to_valid"] for flight in flights)
+    yield Criterion("hard flights: frames from the end of the gap to the first valid one", later, 1, unit="")

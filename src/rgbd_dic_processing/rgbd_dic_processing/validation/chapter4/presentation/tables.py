@@ -9,6 +9,7 @@ import numpy as np
 from ...page import NONE, criteria_table, table
 from ..chapter import BUDGET_SCALE, MAPPED, METHODS, ROLLS, Chapter4
 from ..errors import COMPONENTS, CrackHistory
+from ..hard_flight import HEADER
 from ..regions import REGIONS, usual_region
 from .criteria import THESIS_MM, criteria
 
@@ -27,7 +28,7 @@ def tables(data: Chapter4) -> dict[str, str]:
         "maps": _maps(data),
         "budget": _budget(data),
         "axes": _axes(data),
-    }
+    } | ({"hard": table(HEADER, [flight["row"] for flight in data.hard.values()])} if data.hard else {})
 
 
 def facts(data: Chapter4) -> str:

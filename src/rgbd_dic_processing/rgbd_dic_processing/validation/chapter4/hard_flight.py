@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import tempfile
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
-from rgbd_dic_acquisition.simulator.laboratory import Laboratory
+from rgbd_dic_acquisition.simulator.laboratory import Laboratory, laboratory_settings
 
-from ..core.correlation import CorrelationSettings
-from ..core.crack import CrackOpening
-from ..core.pipeline import Pipeline
-from ..core.regions import Regions
-from ..core.settings import ProcessingSettings
+from ...core.correlation import CorrelationSettings
+from ...core.crack import CrackOpening
+from ...core.pipeline import Pipeline
+from ...core.regions import Regions, load_regions
+from ...core.settings import ProcessingSettings
 
 Array = NDArray[np.float64]
 START_NS = 10**9
 HEADER = (
+    "field",
+    "method",
     "seed",
     "frames",
     "visible",
@@ -69,16 +75,34 @@ class HardFlight:
         """1 if the first frame after the gap is valid."""
         return 1 + int(np.argmax(self.valid[self.after_gap :]))
 
-    def row(self, seed: int) -> list[str]:
-        """Of a table under HEADER."""
+    def row(self) -> list[str]:
+        """Of a table under HEADER, without its first three columns."""
         shown = self.visible & self.valid
         error, stated = 1e3 * self.error_m[shown], 1e3 * self.u_m[shown]
         numbers = (np.abs(error).max(), np.sqrt(np.mean(error**2)), np.sqrt(np.mean(stated**2)))
         return [
-            *map(str, (seed, len(self.openings), self.visible.sum(), shown.sum())),
+            *map(str, (len(self.openings), self.visible.sum(), shown.sum())),
             *(f"{number:.4f}" for number in numbers),
             *map(str, (self.hidden.sum(), (self.hidden & ~self.valid).sum(), self.frames_to_valid)),
         ]
+
+
+def hard_flight(folder: Path, field: str, method: str, seed: int, duration_s: float) -> dict[str, Any]:
+    """A row of the table, and of the frames whose zones are visible the largest error [mm]; whether all hidden ones are
+    flagged; how many frames after the gap the first valid one comes."""
+    wanted = {"seed": seed, "duration_s": duration_s, "deformation": {"field": field}}
+    laboratory = Laboratory(laboratory_settings("laboratory_hard", wanted))
+    with tempfile.TemporaryDirectory() as made:
+        path = Path(made) / "regions.yaml"
+        path.write_text(yaml.safe_dump(laboratory.regions))
+        regions = load_regions(path)
+    flown = fly(laboratory, regions, ProcessingSettings(), (method,))[method]
+    return {
+        "row": [f"`{field}`", f"`{method}`", str(seed), *flown.row()],
+        "largest_mm": float(1e3 * np.abs(flown.error_m[flown.visible & flown.valid]).max()),
+        "flagged": bool(not np.any(flown.hidden & flown.valid)),
+        "frames_to_valid": flown.frames_to_valid,
+    }
 
 
 def fly(
