@@ -21,8 +21,8 @@ from ..summary import SUMMARY_NAME, summary
 NOTHING_VALID = 3
 
 
-def add_measurement(parser: argparse.ArgumentParser) -> None:
-    """Options of the sub-commands that measure a bag."""
+def add_inputs(parser: argparse.ArgumentParser) -> None:
+    """Options of the sub-commands that look at the panel in a bag."""
     parser.add_argument(
         "--regions",
         type=Path,
@@ -31,12 +31,17 @@ def add_measurement(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--calibration", type=Path, help="calibration.yaml (default: the one inside the bag's directory)"
     )
+    parser.add_argument("--settings", type=Path, help="settings.yaml, grouped by stage (docs/parameters.md)")
+
+
+def add_measurement(parser: argparse.ArgumentParser) -> None:
+    """Options of the sub-commands that measure a bag."""
+    add_inputs(parser)
     parser.add_argument(
         "--method",
         help=f"compensation method, or several with commas: {', '.join(SOLVERS)}; or all (default: that of the "
         "settings, h_pose)",
     )
-    parser.add_argument("--settings", type=Path, help="settings.yaml, grouped by stage (docs/parameters.md)")
     parser.add_argument("--out", type=Path, required=True, help="folder for the results; made if missing")
     parser.add_argument("--truth", type=Path, help="CSV with stamp_ns [ns] and opening_mm [mm] to compare with")
 

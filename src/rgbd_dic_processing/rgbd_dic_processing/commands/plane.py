@@ -12,22 +12,14 @@ from ..core.regions import load_regions
 from ..core.settings import load_settings
 from ..plane_view import view_plane
 from ..recorded import calibration_of
-from .options import beside, complete_regions
+from .options import add_inputs, beside, complete_regions
 
 
 def add_parser(commands: Any) -> None:
     parser = commands.add_parser("plane", help="the plane of one ToF frame, as .ply and a picture", description=__doc__)
     parser.add_argument("bag", type=Path, help="bag: a directory with metadata.yaml, or a .mcap file")
     parser.add_argument("--at", type=_not_negative, default=0.0, metavar="S", help="time since the first image [s]")
-    parser.add_argument(
-        "--regions",
-        type=Path,
-        help="regions.yaml (default: the one inside the bag's directory); without a panel, it is found by its depth",
-    )
-    parser.add_argument(
-        "--calibration", type=Path, help="calibration.yaml (default: the one inside the bag's directory)"
-    )
-    parser.add_argument("--settings", type=Path, help="settings.yaml, grouped by stage (docs/parameters.md)")
+    add_inputs(parser)
     parser.add_argument("--out", type=Path, required=True, help="folder for the files; made if missing")
     parser.set_defaults(run=run)
 
