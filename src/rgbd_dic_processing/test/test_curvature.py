@@ -156,7 +156,7 @@ def test_curvature_from_noise_alone(bow_m: float) -> None:
 
 
 def test_curvature_with_all_errors_of_the_sensor() -> None:
-    """The wiggle fakes a bow of some 2 mm, the same in all frames; the systematic part says so, the noise does not."""
+    """What the sensor gets wrong in all frames alike fakes a bow of some 2 mm: the systematic part says so."""
     found = curvature_errors({}, 0.0008)
     assert 0.2 < np.mean([chi2(error, stated.covariance + stated.systematic) for error, stated in found]) < 1.9
     assert np.mean([chi2(error, stated.covariance) for error, stated in found]) > 3

@@ -86,9 +86,8 @@ class ReferenceFrame:
             if self._accuracy is None:
                 self._accuracy = frame.plane.accuracy
             try:
-                seed, bow, back = self.homography(frame.field), frame.plane.curvature, None
-                if bow is not None and self._tof_tells_bow:
-                    back = self._back(plane, bow, seed, moved_px, sigma_px, fixed)
+                seed, bow = self.homography(frame.field), frame.plane.curvature if self._tof_tells_bow else None
+                back = None if bow is None else self._back(plane, bow, seed, moved_px, sigma_px, fixed)
                 self._planes.add(frame.plane.stamp_ns, plane, self.ideal_px[fixed], moved_px, sigma_px, seed, bow, back)
             except (MeasurementError, np.linalg.LinAlgError) as error:
                 return FrameStatus.NO_PLANE, f"the plane of its ToF frame does not fit the motion ({error})"
@@ -163,7 +162,7 @@ class ReferenceFrame:
         Raises:
             MeasurementError: if the motion of the fixed region cannot be estimated.
         """
-        bow = self._planes.curvature if self._tof_tells_bow else None
+        bow = self._planes.curvature
         if self.settings.method == "h_joint":
             return self._surface.surface(plane, bow)
         some = fixed[:: math.ceil(len(fixed) / SHAPING)]
