@@ -26,6 +26,9 @@ def add_parser(commands: Any) -> None:
         "(default: results/ and the chapter's name)",
     )
     parser.add_argument("--quick", action="store_true", help="a small part of it, in less than three minutes")
+    parser.add_argument(
+        "--seeds", type=int, choices=range(1, 6), help="chapter4: laboratories of each kind (default: 5)"
+    )
     parser.add_argument("--workers", type=int, help="processes (default: all cores)")
     parser.set_defaults(run=run)
 
@@ -59,4 +62,5 @@ def _chapter(options: argparse.Namespace) -> tuple[Any, Any, Any]:
         return chapter.run_chapter3, presentation.write_chapter3, chapter.QUICK if options.quick else chapter.FULL
     from ..validation.chapter4 import chapter, presentation
 
-    return chapter.run_chapter4, presentation.write_chapter4, chapter.QUICK if options.quick else chapter.FULL
+    scope = chapter.QUICK if options.quick else chapter.FULL
+    return chapter.run_chapter4, presentation.write_chapter4, scope.with_seeds(options.seeds or len(chapter.SEEDS))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from .scenes import Values, laboratory_values
 METHODS = tuple(SOLVERS)
 HARD = (("rigid_half", "h_pose"), ("beam", "h_joint"))  # fields of the hard flights, and the method for each
 MAPPED = ("beam", 1)  # the laboratory whose maps and histories are drawn, and compared with the 3D DIC
+SEEDS, OF_SEEDS = (1, 2, 3, 4, 5), ("seeds", "region_seeds", "budget_seeds", "hard_seeds")
 ROLLS: dict[str, dict[str, Any]] = {  # axes drawn wrong: arguments of `measuring.measure`
     "as drawn": {},
     "x axis of the panel rolled by 2.5°": {"roll_deg": {"x_axis": 2.5}},
@@ -30,7 +31,8 @@ ROLLS: dict[str, dict[str, Any]] = {  # axes drawn wrong: arguments of `measurin
 @dataclass(frozen=True)
 class Scope:
     """What is run. scale: of the images. mapped_s: length of the laboratory `MAPPED`, others have duration_s.
-    region_seeds, budget_seeds, hard_seeds: of the comparison of regions, of the budget, of the hard flights."""
+    region_seeds, budget_seeds, hard_seeds: of the comparison of regions, of the budget, of the hard flights.
+    rolled: the laboratory in which axes are drawn wrong."""
 
     fields: tuple[str, ...]
     seeds: tuple[int, ...]
@@ -43,11 +45,18 @@ class Scope:
     sources: tuple[str, ...]
     hard_seeds: tuple[int, ...]
     hard_s: float
+    rolled: tuple[str, int]
 
     def laboratory(self, field: str, seed: int) -> Values:
         """The settings of one."""
         duration_s = self.mapped_s if (field, seed) == MAPPED else self.duration_s
         return laboratory_values(field, seed, duration_s, self.scale)
+
+    def with_seeds(self, count: int) -> Scope:
+        """The same with fewer seeds."""
+        kept = SEEDS[:count]
+        fewer = {name: tuple(seed for seed in getattr(self, name) if seed in kept) for name in OF_SEEDS}
+        return replace(self, **fewer)
 
     @property
     def without_rigid_part(self) -> tuple[str, ...]:
@@ -55,7 +64,6 @@ class Scope:
         return tuple(field for field in self.fields if usual_region(field) == "whole")
 
 
-SEEDS = (1, 2, 3, 4, 5)
 FULL = Scope(
     fields=("beam", "plate", "rigid_half"),
     seeds=SEEDS,
@@ -68,6 +76,7 @@ FULL = Scope(
     sources=tuple(SOURCES),
     hard_seeds=SEEDS,
     hard_s=6.0,
+    rolled=("plate", 1),
 )
 QUICK = Scope(
     fields=("beam", "rigid_half"),
@@ -81,6 +90,7 @@ QUICK = Scope(
     sources=("none", "all"),
     hard_seeds=(),
     hard_s=0.0,
+    rolled=("beam", 1),
 )
 BUDGET_SCALE = 0.5
 
@@ -90,7 +100,7 @@ class Chapter4:
     """All that was measured.
 
     histories: (field, seed, method, region) -> history; budget: (source, seed, method) -> history; rolled: (axes,
-    method) -> history in the laboratory `MAPPED`; aligned: method -> result of `alignment.compare` in `MAPPED`.
+    method) -> history in the laboratory `scope.rolled`; aligned: method -> result of `alignment.compare` in `MAPPED`.
     hard: (field, method, seed) -> result of `hard_flight.hard_flight`.
     example: folder of the run of `MAPPED`, in that of the validation.
     """
@@ -179,7 +189,7 @@ def run_chapter4(folder: Path, scope: Scope, workers: int = 2, progress: Progres
     region = usual_region(MAPPED[0])
     rolled = run(
         {
-            (name, method): measured(MAPPED, method=method, region=region, **wrong)
+            (name, method): measured(scope.rolled, method=method, region=usual_region(scope.rolled[0]), **wrong)
             for name, wrong in ROLLS.items()
             for method in METHODS
         }
