@@ -35,8 +35,9 @@ def facts(data: Chapter4) -> str:
     """One line on what was run."""
     scope = data.scope
     return (
-        f"Fields {', '.join(scope.fields)}, {len(scope.seeds)} seeds each, {scope.duration_s:g} s at 60 Hz, images of "
-        f"{scope.scale:g} times the full size; error budget: {scope.budget_s:g} s at {BUDGET_SCALE:g} times."
+        f"Fields {', '.join(scope.fields)}; seeds: {', '.join(map(str, scope.seeds))}; {scope.duration_s:g} s at 60 Hz "
+        f"({MAPPED[0]}, seed {MAPPED[1]}: {scope.mapped_s:g} s), images of {scope.scale:g} times the full size; error "
+        f"budget: {scope.budget_s:g} s at {BUDGET_SCALE:g} times; hard flights: {len(data.hard)} of {scope.hard_s:g} s."
     )
 
 
@@ -136,7 +137,7 @@ def _axes(data: Chapter4) -> str:
     for name in ROLLS:
         for component in COMPONENTS:
             rows.append((name, component, *(f"{data.rolled[name, method].rms(component):.4f}" for method in METHODS)))
-    field, seed = MAPPED
+    field, seed = data.scope.rolled
     return table((f"`{field}`, seed {seed}", "RMS error [mm]", *_names()), rows)
 
 
