@@ -49,7 +49,7 @@ FULL = Scope(
     tuple(all_shots()),
     calibrating.VIEWS,
     tuple(number for number in all_shots() if number < 37),
-    4,
+    2,
     BUDGET_SHOTS,
     {series.name: None for series in oblique.SERIES},
     tuple(oblique.LENSES),
