@@ -174,7 +174,9 @@ def test_bad_frames_inside_a_good_bag(edited, tmp_path: Path) -> None:
 
 
 def test_damaged_messages_inside_a_good_bag(flight: Path, tmp_path: Path) -> None:
-    """Image 20 is cut short inside the bag itself: its row is invalid, all others are as before."""
+    """Image 20 is cut short inside the bag itself: its row is invalid, all others are as before.
+
+    The panel is taken for flat, because what is known of its shape comes from all images before."""
     with BagReader(flight) as source, BagWriter(tmp_path / "damaged") as bag:
         images = 0
         for topic, kind, log_time_ns, data in source.raw_messages():
@@ -183,9 +185,10 @@ def test_damaged_messages_inside_a_good_bag(flight: Path, tmp_path: Path) -> Non
             bag.add_topic(topic, kind, transient_local=topic == "/tf_static")
             bag.write(topic, log_time_ns, data[:1000] if cut else data)
     regions, calibration = flight / "regions.yaml", flight / "calibration.yaml"
-    options = ("--regions", regions, "--calibration", calibration)
+    (tmp_path / "flat.yaml").write_text("compensation: {bow_m: 0}")
+    options = ("--regions", regions, "--calibration", calibration, "--settings", tmp_path / "flat.yaml")
     assert rgbd_dic("process", tmp_path / "damaged", *options, "--out", tmp_path / "out").returncode == 0
-    assert rgbd_dic("process", flight, "--out", tmp_path / "whole").returncode == 0
+    assert rgbd_dic("process", flight, *options, "--out", tmp_path / "whole").returncode == 0
     damaged, whole = rows(tmp_path / "out"), rows(tmp_path / "whole")
     assert damaged[20]["valid"] == "0" and "cannot be read" in damaged[20]["reason"]
     for mine, theirs in zip(damaged[:20] + damaged[21:], whole[:20] + whole[21:], strict=True):
