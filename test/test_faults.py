@@ -54,7 +54,7 @@ def playing(out: Path) -> bool:
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_ended_from_outside_leaves_no_node_and_keeps_the_results(tmp_path: Path, number: int) -> None:
     out = tmp_path / "run"
-    graph = start(out, 75, "--rate", "0.2")
+    graph = start(out, 75, "--rate", "0.12")
     wait_for(lambda: playing(out), "the player")
     assert len(processes_of(out)) == 7
     graph.send_signal(number)
