@@ -50,12 +50,13 @@ struct Limits {
 
 constexpr double kMaxGradient = 0.5;  // on the gradients of the increment
 
-// The error shrinks at each step by a factor that falls as the solution comes near. It is estimated from two
-// steps, taken as at least kLeastRate, and as kFirstRate when there was but one step.
-constexpr double kFirstRate = 0.1, kLeastRate = 0.02;
-// The last step is at most this times the tolerance, so that the residual before it tells of the one after
-// it.
-constexpr double kMaxLastStep = 20.0;
+// Rates by which the error shrinks: after a single step, and the least that is ever counted on.
+constexpr double kFirstRate = 0.1, kLeastRate = 0.002;
+// What noise in J^T D leaves when its mean is made up for, over that mean: it is not the same for each
+// parameter, and the target's gradients are noisy too (measured).
+constexpr double kNoiseRest = 2.0;
+// The last step is at most this long, so that the residual before it tells of the one after it.
+constexpr double kLongestLastStep = 0.02;  // px
 
 // A subset with a ZNCC as low as kAbsurd after three iterations, or as kHopeless after kPatience, is not
 // there.
@@ -143,9 +144,6 @@ class SubsetMatch {
         gradient[k] = sums.r_j[k] - equations.mean_j[k] * sums.r_1 - equations.share_j[k] * sums.r_f;
       for (int k = 0; k < p; ++k)
         for (int m = 0; m < p; ++m) dp[k] -= equations.inverse[k * p + m] * gradient[m];
-      // Noise in J^T D makes steps too short; how much, the last two tell (B. Irons, R. Tuck, "A version of
-      // the Aitken accelerator for computer iteration", Int. J. for Numerical Methods in Engineering 1
-      // (1969)).
       std::array<double, kMaxParameters> edge{};  // motion of the subset's edge by each parameter, px
       double square = 0.0, turn = 0.0, turn_last = 0.0;
       for (int k = 0; k < p; ++k) {
@@ -155,7 +153,13 @@ class SubsetMatch {
         turn += (edge[k] - last_edge[k]) * (edge[k] - last_edge[k]);
         turn_last += (edge[k] - last_edge[k]) * last_edge[k];
       }
-      if (result_.iterations > 1) relaxation = std::min(std::max(-relaxation * turn_last / turn, 0.5), 2.5);
+      // Noise in J^T D makes steps too short. The residual tells by how much once it is noise, after the
+      // first step; after the second, the steps themselves (B. Irons, R. Tuck, "A version of the Aitken
+      // accelerator for computer iteration", Int. J. for Numerical Methods in Engineering 1 (1969)).
+      const double noise =
+          std::min(0.5 * sums.r_r / (n - p - 2) * std::max(subset_->noise_jd_u, subset_->noise_jd_v), 0.5);
+      if (result_.iterations == 2) relaxation = 1.0 / (1.0 - noise);
+      if (result_.iterations > 2) relaxation = std::min(std::max(-relaxation * turn_last / turn, 0.5), 2.5);
       last_edge = edge;
       Quadratic change = kIdentity, inverse;
       for (int k = 0; k < p; ++k) change[k / (p / 2)][k % (p / 2)] += relaxation * dp[k];
@@ -164,11 +168,16 @@ class SubsetMatch {
       if (!is_plausible(increment, half, limits_.max_shift_px, kMaxGradient))
         return failed(SubsetStatus::kDiverged, seed);
 
-      const double step = std::sqrt(square);
-      const double rate = std::isinf(last_step) ? kFirstRate : std::max(step / last_step, kLeastRate);
+      // The error shrinks by what is left of the noise's share, and by a factor in proportion to itself, as
+      // Gauss-Newton converges. The first two steps cannot tell the one from the other.
+      const double step = std::sqrt(square), rate = step / last_step;  // of the step before
+      const double next = result_.iterations == 1   ? kFirstRate
+                          : result_.iterations == 2 ? rate * std::max(rate - noise, 0.0) + kNoiseRest * noise
+                                                    : rate;
+      const double left = step * std::max(next, kLeastRate);
       last_step = step;
-      const bool arrived = rate < 0.5 && step * rate / (1.0 - rate) < limits_.tolerance_px &&
-                           step < kMaxLastStep * limits_.tolerance_px;
+      const bool arrived =
+          next < 0.5 && left < (1.0 - next) * limits_.tolerance_px && step < kLongestLastStep;
       if (!arrived) continue;
       if (result_.zncc < limits_.min_zncc) return failed(SubsetStatus::kLowCorrelation, seed);
       for (double& parameter : dp) parameter *= relaxation;
@@ -248,28 +257,36 @@ class SubsetMatch {
     double power;  // sum of r^2
   };
 
-  // Those of the last samples, with the step that follows from them taken: r + D dp, dp as it is in the
-  // middle of each block.
+  // Those of the last samples after the step that follows from them: r + D dp.
   Residuals residuals_after(const std::array<double, kMaxParameters>& dp) const {
     Residuals after{};
     loops_.block_residuals(layout_, pixels_, static_cast<float>(subset_->mean), g_, mean_g_, scale_,
                            after.blocks);
     const int monomials = reference_.model().parameters() / 2, size = layout_.size();
+    Polynomial u{}, v{};
+    std::copy_n(dp.begin(), monomials, u.begin());
+    std::copy_n(dp.begin() + monomials, monomials, v.begin());
+    const auto extent = [size](int k) {  // of a block: its middle from the subset's centre, and its variance
+      const double length = block_length(k, size);
+      return std::pair(block_start(k, size) + 0.5 * (length - size), (length * length - 1.0) / 12.0);
+    };
     for (int k = 0; k < kBlocks; ++k) {
-      const double xi = 0.5 * (block_start(k % kSide, size) + block_start(k % kSide + 1, size) - size);
-      const double eta = 0.5 * (block_start(k / kSide, size) + block_start(k / kSide + 1, size) - size);
-      const double powers[kMaxMonomials] = {1.0, xi, eta, xi * xi, xi * eta, eta * eta};
-      double u = 0.0, v = 0.0;
-      for (int m = 0; m < monomials; ++m) {
-        u += dp[m] * powers[m];
-        v += dp[monomials + m] * powers[m];
-      }
+      const auto [xi, wide] = extent(k % kSide);
+      const auto [eta, high] = extent(k / kSide);
+      const double u_0 = evaluated(u, xi, eta), u_x = u[1] + 2.0 * u[3] * xi + u[4] * eta,
+                   u_y = u[2] + u[4] * xi + 2.0 * u[5] * eta;
+      const double v_0 = evaluated(v, xi, eta), v_x = v[1] + 2.0 * v[3] * xi + v[4] * eta,
+                   v_y = v[2] + v[4] * xi + 2.0 * v[5] * eta;
+      const double u_u = u_0 * u_0 + u_x * u_x * wide + u_y * u_y * high,  // means over the block
+          u_v = u_0 * v_0 + u_x * v_x * wide + u_y * v_y * high,
+                   v_v = v_0 * v_0 + v_x * v_x * wide + v_y * v_y * high;
       const BlockProducts& block = subset_->blocks[k];
       BlockResidual& r = after.blocks[k];
-      const double along_x = block.jx_dx * u + block.jx_dy * v, along_y = block.jy_dx * u + block.jy_dy * v;
-      r.r_r += static_cast<float>(u * (2.0 * r.r_jx + along_x) + v * (2.0 * r.r_jy + along_y));
-      r.r_jx += static_cast<float>(along_x);
-      r.r_jy += static_cast<float>(along_y);
+      r.r_jx += static_cast<float>(block.jx_dx * u_0 + block.jx_dy * v_0);
+      r.r_jy += static_cast<float>(block.jy_dx * u_0 + block.jy_dy * v_0);
+      // |r|^2 = |(r + D dp) - D dp|^2; across the pattern what is left is as little along D as along J.
+      const double taken = block.dx_dx * u_u + 2.0 * block.dx_dy * u_v + block.dy_dy * v_v;
+      r.r_r += static_cast<float>(2.0 * (r.r_jx * u_0 + r.r_jy * v_0) - taken);
       r.r_r = std::max(r.r_r, 0.0f);
       after.power += r.r_r;
     }
@@ -306,18 +323,18 @@ class SubsetMatch {
       for (const int strip : {k / kSide, kSide + k % kSide}) {
         r_r[strip] += r.r_r;
         f_f[strip] += block.f_f;
-        count[strip] += block.count;
+        count[strip] += block_count(k, layout_.size());
       }
       const double determinant =
           static_cast<double>(block.jx_dx) * block.jy_dy - static_cast<double>(block.jx_dy) * block.jy_dx;
-      at_rest[k] = r.r_r / block.count;
+      at_rest[k] = r.r_r / block_count(k, layout_.size());
       if (!(block.jx_dx > 0.0f && determinant > 0.05 * block.jx_dx * block.jy_dy))
         continue;  // says little across its texture
       const double share = (block.jy_dy * r.r_jx * r.r_jx - (block.jx_dy + block.jy_dx) * r.r_jx * r.r_jy +
                             block.jx_dx * r.r_jy * r.r_jy) /
                            determinant;
       const double taken = std::min(std::max(share, 0.0), static_cast<double>(r.r_r));
-      at_rest[k] = (r.r_r - taken) / (block.count - 2.0);
+      at_rest[k] = (r.r_r - taken) / (block_count(k, layout_.size()) - 2.0);
       explained += taken;
       texture += 0.5 * (block.jx_dx + block.jy_dy);
       free += 2;
@@ -415,7 +432,7 @@ class SubsetMatch {
       for (int k = 0; k < kSide; ++k) {
         const int at = strip < kSide ? strip * kSide + k : k * kSide + strip - kSide;
         const BlockProducts& block = subset_->blocks[at];
-        count += block.count;
+        count += block_count(at, layout_.size());
         f += block.f;
         f_f += block.f_f;
         g += samples[at].g;

@@ -66,10 +66,14 @@ struct ResidualSums {
 // A subset is judged by its parts: kSide x kSide blocks, row by row.
 constexpr int kSide = 4, kBlocks = kSide * kSide;
 inline int block_start(int k, int size) { return k * size / kSide; }  // first column or line of the k-th
+inline int block_length(int k, int size) { return block_start(k + 1, size) - block_start(k, size); }
+inline int block_count(int k, int size) {  // pixels of block k
+  return block_length(k % kSide, size) * block_length(k / kSide, size);
+}
 
 // Sums over a block.
 struct BlockProducts {
-  float count, f, f_f, jx_dx, jx_dy, jy_dx, jy_dy;
+  float f, f_f, jx_dx, jx_dy, jy_dx, jy_dy, dx_dx, dx_dy, dy_dy;
 };
 struct BlockResidual {
   float r_r, r_jx, r_jy;

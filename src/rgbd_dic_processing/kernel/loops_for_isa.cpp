@@ -83,10 +83,19 @@ RGBD_DIC_INLINE Floats interpolated(const Floats (&wx)[degree + 1], const Floats
   return value;
 }
 
+// Whether a polynomial of offsets up to `half` is certain to stay within the bounds, rounding included.
+RGBD_DIC_INLINE bool stays_within(const float (&w)[kMaxMonomials], int half, float low, float high) {
+  const float reach = static_cast<float>(half), bend = std::fabs(w[3]) + std::fabs(w[4]) + std::fabs(w[5]);
+  const float way = 1.0f + reach * (std::fabs(w[1]) + std::fabs(w[2]) + reach * bend);
+  return w[0] - way >= low && w[0] + way <= high;
+}
+
 template <int degree>
 bool sample(const Layout& layout, const SplinePixels& target, const LocalWarp& warp, float* g) {
   constexpr int kTapsBefore = (degree - 1) / 2;
   const Ints lanes = lane_numbers();
+  const bool far_inside = stays_within(warp.x, layout.half, target.low_x, target.high_x) &&
+                          stays_within(warp.y, layout.half, target.low_y, target.high_y);
   for (int column = 0; column < layout.columns; ++column) {
     const int start = column * kWidth - layout.half;
     const Ints reaching = start + lanes;
@@ -99,10 +108,11 @@ bool sample(const Layout& layout, const SplinePixels& target, const LocalWarp& w
           (warp.x[0] + q * (warp.x[2] + q * warp.x[5])) + xi * ((warp.x[1] + q * warp.x[4]) + xi * warp.x[3]);
       const Floats y =
           (warp.y[0] + q * (warp.y[2] + q * warp.y[5])) + xi * ((warp.y[1] + q * warp.y[4]) + xi * warp.y[3]);
-      // NaN, which a polynomial that overflows gives, is not inside either.
-      const Ints inside =
-          (x >= target.low_x) & (x <= target.high_x) & (y >= target.low_y) & (y <= target.high_y);
-      if (any(~inside)) return false;
+      if (!far_inside) {  // NaN, which a polynomial that overflows gives, is not inside either
+        const Ints inside =
+            (x >= target.low_x) & (x <= target.high_x) & (y >= target.low_y) & (y <= target.high_y);
+        if (any(~inside)) return false;
+      }
 
       const Ints whole_x = floor_of(x), whole_y = floor_of(y);
       Floats wx[degree + 1], wy[degree + 1];
@@ -285,45 +295,54 @@ void block_samples(const Layout& layout, const ReferencePixels& reference, float
 
 void block_products(const Layout& layout, const ReferencePixels& reference, float mean_f,
                     BlockProducts (&blocks)[kBlocks]) {
-  float sums[kBlocks][7];
+  float sums[kBlocks][9];
   sum_blocks(layout, reference.stride, sums,
-             [&](std::ptrdiff_t at, std::ptrdiff_t, Floats(&s)[7]) __attribute__((always_inline)) {
+             [&](std::ptrdiff_t at, std::ptrdiff_t, Floats(&s)[9]) __attribute__((always_inline)) {
                const Floats f = load(reference.f + at) - mean_f;
                const Floats jx = load(reference.jx + at), jy = load(reference.jy + at);
                const Floats dx = load(reference.dx + at), dy = load(reference.dy + at);
-               s[0] += 1.0f;
-               s[1] += f;
-               s[2] += f * f;
-               s[3] += jx * dx;
-               s[4] += jx * dy;
-               s[5] += jy * dx;
-               s[6] += jy * dy;
+               s[0] += f;
+               s[1] += f * f;
+               s[2] += jx * dx;
+               s[3] += jx * dy;
+               s[4] += jy * dx;
+               s[5] += jy * dy;
+               s[6] += dx * dx;
+               s[7] += dx * dy;
+               s[8] += dy * dy;
              });
   for (int q = 0; q < kBlocks; ++q) {
     const auto& s = sums[q];
-    blocks[q] = {s[0], s[1], s[2], s[3], s[4], s[5], s[6]};
+    blocks[q] = {s[0], s[1], s[2], s[3], s[4], s[5], s[6], s[7], s[8]};
   }
 }
 
-// Adds to sums[q][p] the terms times eta^q xi^p, p + q <= powers, lane by lane, column after column.
+// Sums of terms times eta^q xi^p, p + q <= powers, lane by lane: `add` takes the terms of a column of vectors
+// line by line, `end_column` their powers of xi.
 template <int powers>
 struct LaneSums {
-  Floats at[powers + 1]{};
+  Floats line[powers + 1]{}, total[powers + 1][powers + 1]{};  // by q; by q and p
 
   RGBD_DIC_INLINE void add(Floats term, float eta) {
-    at[0] += term;
-    for (int q = 1; q <= powers; ++q) at[q] += term *= eta;
+    float power = 1.0f;
+    for (int q = 0; q <= powers; ++q, power *= eta) line[q] += term * power;
   }
 
-  template <int size>
-  RGBD_DIC_INLINE void into(double (&sums)[size][size], Floats xi, Floats weight) const {
+  RGBD_DIC_INLINE void end_column(Floats xi, Floats weight) {
     for (int q = 0; q <= powers; ++q) {
-      Floats term = at[q] * weight;
+      Floats term = line[q] * weight;
+      line[q] = Floats{};
       for (int p = 0; p + q <= powers; ++p) {
-        sums[q][p] += sum(term);
+        total[q][p] += term;
         term *= xi;
       }
     }
+  }
+
+  template <int size>
+  RGBD_DIC_INLINE void into(double (&sums)[size][size]) const {
+    for (int q = 0; q <= powers; ++q)
+      for (int p = 0; p + q <= powers; ++p) sums[q][p] = sum(total[q][p]);
   }
 };
 
@@ -331,20 +350,24 @@ template <int order>
 void product_sums_of(const Layout& layout, const ReferencePixels& reference, ProductSums& sums) {
   const Ints lanes = lane_numbers();
   sums = ProductSums{};
+  Floats f_total{};
   for (int column = 0; column < layout.columns; ++column) {
     const int start = column * kWidth - layout.half;
     Floats f{};
     for (int eta = -layout.half; eta <= layout.half; ++eta)
       f += load(reference.f + eta * reference.stride + start);
-    sums.f += sum(f * load(&layout.weight[column * kWidth]));
+    f_total += f * load(&layout.weight[column * kWidth]);
   }
+  sums.f = sum(f_total);
   const float mean = static_cast<float>(sums.f / layout.count());
+  LaneSums<2 * order> jx_dx, jx_dy, jy_dx, jy_dy, jx_jx, jx_jy, jy_jy;
+  LaneSums<order> of_jx, of_jy, of_dx, of_dy, jx_f, jy_f, dx_f, dy_f;
+  Floats f_f_total{};
   for (int column = 0; column < layout.columns; ++column) {
     const int start = column * kWidth - layout.half;
     const Floats xi = to_floats(start + lanes), weight = load(&layout.weight[column * kWidth]);
     const ReferencePixels middle = {reference.f + start,  reference.jx + start, reference.jy + start,
                                     reference.dx + start, reference.dy + start, reference.stride};
-    LaneSums<2 * order> jx_dx, jx_dy, jy_dx, jy_dy;
     for (int eta = -layout.half; eta <= layout.half; ++eta) {
       const std::ptrdiff_t at = eta * middle.stride;
       const float q = static_cast<float>(eta);
@@ -355,11 +378,10 @@ void product_sums_of(const Layout& layout, const ReferencePixels& reference, Pro
       jy_dx.add(jy * dx, q);
       jy_dy.add(jy * dy, q);
     }
-    jx_dx.into(sums.jx_dx, xi, weight);
-    jx_dy.into(sums.jx_dy, xi, weight);
-    jy_dx.into(sums.jy_dx, xi, weight);
-    jy_dy.into(sums.jy_dy, xi, weight);
-    LaneSums<2 * order> jx_jx, jx_jy, jy_jy;
+    jx_dx.end_column(xi, weight);
+    jx_dy.end_column(xi, weight);
+    jy_dx.end_column(xi, weight);
+    jy_dy.end_column(xi, weight);
     for (int eta = -layout.half; eta <= layout.half; ++eta) {
       const std::ptrdiff_t at = eta * middle.stride;
       const float q = static_cast<float>(eta);
@@ -368,10 +390,9 @@ void product_sums_of(const Layout& layout, const ReferencePixels& reference, Pro
       jx_jy.add(jx * jy, q);
       jy_jy.add(jy * jy, q);
     }
-    jx_jx.into(sums.jx_jx, xi, weight);
-    jx_jy.into(sums.jx_jy, xi, weight);
-    jy_jy.into(sums.jy_jy, xi, weight);
-    LaneSums<order> of_jx, of_jy, of_dx, of_dy, jx_f, jy_f, dx_f, dy_f;
+    jx_jx.end_column(xi, weight);
+    jx_jy.end_column(xi, weight);
+    jy_jy.end_column(xi, weight);
     Floats f_f{};
     for (int eta = -layout.half; eta <= layout.half; ++eta) {
       const std::ptrdiff_t at = eta * middle.stride;
@@ -389,16 +410,32 @@ void product_sums_of(const Layout& layout, const ReferencePixels& reference, Pro
       dx_f.add(dx * f, q);
       dy_f.add(dy * f, q);
     }
-    sums.f_f += sum(f_f * weight);
-    of_jx.into(sums.jx, xi, weight);
-    of_jy.into(sums.jy, xi, weight);
-    of_dx.into(sums.dx, xi, weight);
-    of_dy.into(sums.dy, xi, weight);
-    jx_f.into(sums.jx_f, xi, weight);
-    jy_f.into(sums.jy_f, xi, weight);
-    dx_f.into(sums.dx_f, xi, weight);
-    dy_f.into(sums.dy_f, xi, weight);
+    f_f_total += f_f * weight;
+    of_jx.end_column(xi, weight);
+    of_jy.end_column(xi, weight);
+    of_dx.end_column(xi, weight);
+    of_dy.end_column(xi, weight);
+    jx_f.end_column(xi, weight);
+    jy_f.end_column(xi, weight);
+    dx_f.end_column(xi, weight);
+    dy_f.end_column(xi, weight);
   }
+  sums.f_f = sum(f_f_total);
+  jx_dx.into(sums.jx_dx);
+  jx_dy.into(sums.jx_dy);
+  jy_dx.into(sums.jy_dx);
+  jy_dy.into(sums.jy_dy);
+  jx_jx.into(sums.jx_jx);
+  jx_jy.into(sums.jx_jy);
+  jy_jy.into(sums.jy_jy);
+  of_jx.into(sums.jx);
+  of_jy.into(sums.jy);
+  of_dx.into(sums.dx);
+  of_dy.into(sums.dy);
+  jx_f.into(sums.jx_f);
+  jy_f.into(sums.jy_f);
+  dx_f.into(sums.dx_f);
+  dy_f.into(sums.dy_f);
 }
 
 void product_sums(const Layout& layout, const ReferencePixels& reference, int order, ProductSums& sums) {
@@ -461,17 +498,28 @@ void filter_lines(float* data, std::ptrdiff_t count, std::ptrdiff_t step, int la
   }
 }
 
+// Some vectors of sums from `begin` on at once, so that a weight is fetched once for all of them.
+template <int vectors>
+RGBD_DIC_INLINE void weighted_sums_at(std::ptrdiff_t begin, const float* const* lines, const float* weights,
+                                      int terms, float* out) {
+  Floats total[vectors]{};
+  for (int k = 0; k < terms; ++k) {
+    const float weight = weights[k];
+    const float* line = lines[k] + begin;
+    for (int v = 0; v < vectors; ++v) total[v] += weight * load(line + v * kWidth);
+  }
+  for (int v = 0; v < vectors; ++v) store(out + begin + v * kWidth, total[v]);
+}
+
 void weighted_sum(const float* const* lines, const float* weights, int terms, std::ptrdiff_t count,
                   float* out) {
   std::ptrdiff_t i = 0;
-  for (; i + kWidth <= count; i += kWidth) {
-    Floats total{};
-    for (int k = 0; k < terms; ++k) total += weights[k] * load(lines[k] + i);
-    store(out + i, total);
-  }
+  for (; i + 4 * kWidth <= count; i += 4 * kWidth) weighted_sums_at<4>(i, lines, weights, terms, out);
+  for (; i + kWidth <= count; i += kWidth) weighted_sums_at<1>(i, lines, weights, terms, out);
   for (; i < count; ++i) {
-    out[i] = 0.0f;
-    for (int k = 0; k < terms; ++k) out[i] += weights[k] * lines[k][i];
+    float total = 0.0f;
+    for (int k = 0; k < terms; ++k) total += weights[k] * lines[k][i];
+    out[i] = total;
   }
 }
 

@@ -102,7 +102,7 @@ def correlate(
     )
 
     affine = np.eye(3)
-    iterations, left, relaxation, last_edge = 0, np.inf, 1.0, np.zeros(6)
+    iterations, left, relaxation, length, last_edge = 0, np.inf, 1.0, np.inf, np.zeros(6)
     while not left < tolerance_px:
         assert iterations < max_iterations, f"no convergence within {max_iterations} iterations"
         iterations += 1
@@ -113,17 +113,20 @@ def correlate(
         residual = f - np.linalg.norm(f) / np.linalg.norm(g) * g
         step = -(inverse @ weights.T @ residual)[:6]
         edge = step * [1, half, half, 1, half, half]
-        if iterations > 1:
+        noise = min(residual @ residual / (f.size - 8) / 2 * noise_jd.max(), 0.5)
+        if iterations == 2:
+            relaxation = 1 / (1 - noise)
+        elif iterations > 2:
             relaxation = np.clip(
                 -relaxation * (edge - last_edge) @ last_edge / np.sum((edge - last_edge) ** 2), 0.5, 2.5
             )
         step = relaxation * step
         increment = np.array([[1 + step[1], step[2], step[0]], [step[4], 1 + step[5], step[3]], [0, 0, 1]])
         affine = affine @ np.linalg.inv(increment)
-        length = np.linalg.norm(edge)
-        rate = 0.1 if iterations == 1 else max(length / np.linalg.norm(last_edge), 0.02)
+        length, rate = np.linalg.norm(edge), np.linalg.norm(edge) / length
+        rate = {1: 0.1, 2: rate * max(rate - noise, 0) + 2 * noise}.get(iterations, rate)
         last_edge = edge
-        left = length * rate / (1 - rate) if rate < 0.5 and length < 20 * tolerance_px else np.inf
+        left = length * max(rate, 0.002) / (1 - rate) if rate < 0.5 and length < 0.02 else np.inf
 
     def centre_at(shift: np.ndarray) -> np.ndarray:
         """Where the centre goes when the increment is preceded by a small shift."""

@@ -264,12 +264,12 @@ def test_brightness_and_contrast_do_not_matter(speckle, reference, degree):
     centres = grid(step=20)
     x, y = pixels()
     image = speckle(x - 0.3, y - 0.6)
-    subsets = ReferenceSubsets(reference, centres, CorrelationSettings(spline_degree=degree))
+    subsets = ReferenceSubsets(reference, centres, CorrelationSettings(spline_degree=degree, tolerance_px=1e-6))
     found, changed = (
         subsets.correlate(subsets.target(target), identity_seeds(centres)) for target in (image, 0.6 * image + 40)
     )
     assert changed.valid.all()
-    # Both stop within tolerance_px = 1e-4, where Gauss-Newton contracts a hundredfold a step.
+    # Both stop within the tolerance.
     np.testing.assert_allclose(changed.x_px, found.x_px, atol=2e-6)
     np.testing.assert_allclose(changed.y_px, found.y_px, atol=2e-6)
     np.testing.assert_allclose(changed.zncc, found.zncc, atol=1e-6)  # float32, eight digits of a number near 1
@@ -278,17 +278,18 @@ def test_brightness_and_contrast_do_not_matter(speckle, reference, degree):
 # Agreement with independent computations
 
 
+@pytest.mark.parametrize("tolerance_px", [1e-4, 1e-6])
 @pytest.mark.parametrize(("degree", "subset_size"), [(3, 21), (5, 31), (5, 32 + 9)])
-def test_parity_with_the_numpy_twin(reference, warped, homography, degree, subset_size):
+def test_parity_with_the_numpy_twin(reference, warped, homography, degree, subset_size, tolerance_px):
     centres = grid(step=50, margin=numpy_icgn.BORDER_PX + 21)
     seeds = homography_seeds(homography, centres)
     seeds[:, :, 0] += (0.4, -0.3)
-    settings = CorrelationSettings(subset_size=subset_size, spline_degree=degree)
+    settings = CorrelationSettings(subset_size=subset_size, spline_degree=degree, tolerance_px=tolerance_px)
     subsets = ReferenceSubsets(reference, centres, settings)
     found = subsets.correlate(subsets.target(warped), seeds)
+    wanted = {"subset_size": subset_size, "degree": degree, "tolerance_px": tolerance_px}
     twins = [
-        numpy_icgn.correlate(reference, warped, tuple(c), s, subset_size=subset_size, degree=degree)
-        for c, s in zip(centres, seeds, strict=True)
+        numpy_icgn.correlate(reference, warped, tuple(c), s, **wanted) for c, s in zip(centres, seeds, strict=True)
     ]
     column = {field.name: [getattr(twin, field.name) for twin in twins] for field in dataclasses.fields(twins[0])}
     np.testing.assert_array_equal(found.iterations, column["iterations"])
@@ -296,9 +297,12 @@ def test_parity_with_the_numpy_twin(reference, warped, homography, degree, subse
     # hundreds of pixels of a subset most of that averages out.
     np.testing.assert_allclose(found.x_px, column["x_px"], rtol=0, atol=5e-7)
     np.testing.assert_allclose(found.y_px, column["y_px"], rtol=0, atol=5e-7)
-    # The kernel averages the noise gain of the samples over every third line only.
-    np.testing.assert_allclose(found.sigma_x_px, column["sigma_x_px"], rtol=2e-3)
-    np.testing.assert_allclose(found.sigma_y_px, column["sigma_y_px"], rtol=2e-3)
+    # The kernel averages the noise gain of the samples over every third line only. What a last step of 0.01 px makes of
+    # the residual it takes from J for D: noise of 0.4 grey levels along their difference, some 6 grey levels/px, is
+    # 0.01 * 6 / (0.4 * 31) = 0.5 % of the residual.
+    rtol = 2e-3 if tolerance_px == 1e-6 else 7e-3
+    np.testing.assert_allclose(found.sigma_x_px, column["sigma_x_px"], rtol=rtol)
+    np.testing.assert_allclose(found.sigma_y_px, column["sigma_y_px"], rtol=rtol)
     np.testing.assert_allclose(found.zncc, column["zncc"], rtol=0, atol=1e-6)
 
 

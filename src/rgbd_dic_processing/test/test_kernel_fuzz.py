@@ -238,7 +238,7 @@ def check_results(found, reference, seeds, chosen, target_shape, max_iterations,
         np.testing.assert_array_equal(np.isnan(column), ~valid)
     assert (sigma_x[valid] > 0).all() and (sigma_y[valid] > 0).all()
     assert np.isfinite(sigma_x[valid]).all() and np.isfinite(sigma_y[valid]).all()
-    # The last step, up to 20 times the tolerance, is not sampled any more.
+    # The last step, up to 0.02 px, is not sampled any more.
     rows, cols = target_shape
     assert (np.abs(x[valid] - (cols - 1) / 2) <= (cols - 1) / 2 + 0.5).all()
     assert (np.abs(y[valid] - (rows - 1) / 2) <= (rows - 1) / 2 + 0.5).all()
