@@ -120,7 +120,8 @@ class Keyframe:
 
     def itself(self) -> Found:
         """Its subsets in its own image."""
-        return self._found(self._start, SeedSource.REFERENCE, self._itself, self._maps.seeds(np.eye(3)))
+        unmoved = np.broadcast_to(np.eye(2), (len(self.members), 2, 2))
+        return self._found(self._start, SeedSource.REFERENCE, self._itself, unmoved)
 
     def find(self, stamp_ns: int, image: NDArray[np.uint8]) -> Found | None:
         """Its subsets in another image; None if the pattern was not found."""
@@ -132,10 +133,9 @@ class Keyframe:
         moved = self._subsets.correlate(target, seeds)
         moved = self._search.complete(image, target, guess, moved)
         self._search.remember(stamp_ns, guess, moved)
-        return self._found(guess, source, moved, seeds)
+        return self._found(guess, source, moved, seeds[:, :, 1:3])
 
-    def _found(self, guess: Guess, source: SeedSource, moved: Correlation, seeds: Array) -> Found:
-        jacobian = seeds[:, :, 1:3]
+    def _found(self, guess: Guess, source: SeedSource, moved: Correlation, jacobian: Array) -> Found:
         link = np.column_stack([moved.sigma_x_px, moved.sigma_y_px]).astype(float)
         return Found(
             guess,

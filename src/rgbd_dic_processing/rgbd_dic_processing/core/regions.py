@@ -150,7 +150,7 @@ class Regions:
         xs, ys = np.arange(low[0], high[0] + 1, step), np.arange(low[1], high[1] + 1, step)
         grid = np.stack(np.meshgrid(xs, ys), axis=-1).reshape(-1, 2)
         corners = half * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
-        kept = np.all([inside(self.panel, grid + corner) for corner in corners], axis=0) if len(grid) else []
+        kept = np.all([inside(self.panel, grid + corner) for corner in corners], axis=0)
         if not np.any(kept):
             raise RegionsError(
                 f"panel holds no whole subset of {subset_size} px: draw it larger or choose smaller subsets"
@@ -161,16 +161,16 @@ class Regions:
 def inside(polygon_px: Array, points_px: Array) -> Mask:
     """Which points (N, 2) lie inside a polygon (M, 2) or on its border: those whose ray to the right crosses it an odd
     number of times."""
-    start = np.asarray(polygon_px, float)
-    end = np.roll(start, -1, axis=0)
-    edge = end - start
-    away = np.asarray(points_px, float)[:, None] - start
-    side = edge[:, 0] * away[..., 1] - edge[:, 1] * away[..., 0]  # positive: right of the edge as it runs, y down
-    along = np.sum(edge * away, axis=-1)
-    on_border = (side == 0) & (along >= 0) & (along <= np.sum(edge**2, axis=-1))
-    passes = (away[..., 1] < 0) != (away[..., 1] < edge[:, 1])
-    crossed = passes & ((side > 0) == (edge[:, 1] > 0))
-    return on_border.any(axis=1) | (crossed.sum(axis=1) % 2 == 1)
+    corners = np.asarray(polygon_px, float)
+    x, y = np.asarray(points_px, float).T
+    odd, on_border = np.zeros((2, len(x)), bool)
+    for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        along_x, along_y = x1 - x0, y1 - y0
+        side = along_x * (y - y0) - along_y * (x - x0)  # positive: right of the edge as it runs, y down
+        odd ^= ((y < y0) != (y < y1)) & ((side > 0) == (along_y > 0))
+        along = along_x * (x - x0) + along_y * (y - y0)
+        on_border |= (side == 0) & (along >= 0) & (along <= along_x**2 + along_y**2)
+    return odd | on_border
 
 
 def polygon_mask(polygon_px: Array, width: int, height: int) -> Mask:

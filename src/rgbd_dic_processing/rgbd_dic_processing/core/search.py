@@ -233,13 +233,15 @@ def _positions(moved: Correlation) -> Array:
 
 
 def _spread(centres_px: Array, count: int) -> NDArray[np.intp]:
-    """Indices of about `count` subsets spread evenly over the grid."""
+    """Indices of about `count` subsets spread evenly over the grid: the one nearest to the middle of each cell."""
     low, extent = centres_px.min(axis=0), np.maximum(np.ptp(centres_px, axis=0), 1)
     columns = max(round(float(np.sqrt(count * extent[0] / extent[1]))), 1)
     cells = np.array([columns, max(round(count / columns), 1)])
     cell = np.minimum(((centres_px - low) / extent * cells).astype(int), cells - 1)
     middle = np.sum(np.square((centres_px - low) / extent * cells - cell - 0.5), axis=1)
     number = cell[:, 0] + columns * cell[:, 1]
-    order = np.lexsort([middle, number])
-    _, first = np.unique(number[order], return_index=True)
-    return np.sort(order[first])
+    least = np.full(cells.prod(), np.inf)
+    np.minimum.at(least, number, middle)
+    nearest = np.flatnonzero(middle == least[number])
+    _, first = np.unique(number[nearest], return_index=True)
+    return np.sort(nearest[first])
