@@ -26,7 +26,7 @@ def fit_homography(source: Array, target: Array, refinements: int = 3) -> Array 
             np.hstack([zero, homogeneous, -u[:, 1:] * homogeneous]),
         ]
     )
-    _, singular, vt = np.linalg.svd(rows, full_matrices=len(rows) < 9)
+    _, singular, vt = np.linalg.svd(np.linalg.qr(rows, mode="r"))
     if singular[7] < 1e-10 * singular[0]:
         return None
     H = vt[8].reshape(3, 3)

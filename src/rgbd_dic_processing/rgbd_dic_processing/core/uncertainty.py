@@ -49,9 +49,9 @@ def linear_modes(
     direct = np.zeros((count, correlation.shape[0], 2))
     direct[:, chosen] = sensitivity * sigma[chosen]
     spread = np.stack([(correlation @ direct[:, :, axis].T).T for axis in (0, 1)], axis=-1)
-    modes = independent_modes(np.einsum("pna,qna->pq", direct, spread))
+    modes = independent_modes(np.tensordot(direct, spread, axes=[(1, 2), (1, 2)]))
     to_unit = modes / np.sum(modes**2, axis=1, keepdims=True)
-    return modes, np.einsum("kp,pna->kna", to_unit, spread) * np.nan_to_num(sigma)
+    return modes, np.tensordot(to_unit, spread, axes=1) * np.nan_to_num(sigma)
 
 
 def independent_modes(covariance: Array) -> Array:

@@ -17,6 +17,7 @@ from ...core.crack import CrackOpening
 from ...core.pipeline import Pipeline
 from ...core.regions import Regions, load_regions
 from ...core.settings import ProcessingSettings
+from .errors import rms
 
 Array = NDArray[np.float64]
 START_NS = 10**9
@@ -75,21 +76,24 @@ class HardFlight:
         """1 if the first frame after the gap is valid."""
         return 1 + int(np.argmax(self.valid[self.after_gap :]))
 
+    def errors_mm(self) -> tuple[float, float, float]:
+        """Largest and RMS error of the frames whose zones are visible, and the RMS of what was stated of them."""
+        shown = self.visible & self.valid
+        error = self.error_m[shown]
+        return tuple(1e3 * float(value) for value in (np.abs(error).max(), rms(error), rms(self.u_m[shown])))
+
     def row(self) -> list[str]:
         """Of a table under HEADER, without its first three columns."""
-        shown = self.visible & self.valid
-        error, stated = 1e3 * self.error_m[shown], 1e3 * self.u_m[shown]
-        numbers = (np.abs(error).max(), np.sqrt(np.mean(error**2)), np.sqrt(np.mean(stated**2)))
         return [
-            *map(str, (len(self.openings), self.visible.sum(), shown.sum())),
-            *(f"{number:.4f}" for number in numbers),
+            *map(str, (len(self.openings), self.visible.sum(), (self.visible & self.valid).sum())),
+            *(f"{number:.4f}" for number in self.errors_mm()),
             *map(str, (self.hidden.sum(), (self.hidden & ~self.valid).sum(), self.frames_to_valid)),
         ]
 
 
 def hard_flight(folder: Path, field: str, method: str, seed: int, duration_s: float) -> dict[str, Any]:
-    """A row of the table, and of the frames whose zones are visible the largest error [mm]; whether all hidden ones are
-    flagged; how many frames after the gap the first valid one comes."""
+    """A row of the table, and of the frames whose zones are visible the largest and the RMS error and what was stated
+    [mm]; whether all hidden ones are flagged; how many frames after the gap the first valid one comes."""
     wanted = {"seed": seed, "duration_s": duration_s, "deformation": {"field": field}}
     laboratory = Laboratory(laboratory_settings("laboratory_hard", wanted))
     with tempfile.TemporaryDirectory() as made:
@@ -99,7 +103,7 @@ def hard_flight(folder: Path, field: str, method: str, seed: int, duration_s: fl
     flown = fly(laboratory, regions, ProcessingSettings(), (method,))[method]
     return {
         "row": [f"`{field}`", f"`{method}`", str(seed), *flown.row()],
-        "largest_mm": float(1e3 * np.abs(flown.error_m[flown.visible & flown.valid]).max()),
+        **dict(zip(("largest_mm", "rms_mm", "stated_mm"), flown.errors_mm(), strict=True)),
         "flagged": bool(not np.any(flown.hidden & flown.valid)),
         "frames_to_valid": flown.frames_to_valid,
     }
