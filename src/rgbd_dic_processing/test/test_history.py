@@ -133,6 +133,14 @@ def test_both_histories_are_compared_with_sliding_and_spectra():
         assert one.dominating == pytest.approx(3e-4, rel=0.02)  # the drift leaks into it
 
 
+def test_a_single_cycle_is_no_peak_of_the_spectrum():
+    time_s = np.arange(144) / 60
+    found = spectrum(time_s, np.sin(2 * np.pi * 0.4 * time_s) + 0.01 * np.cos(np.pi * np.arange(144)))
+    assert np.isnan(found.dominating_hz)  # the highest peak is a side lobe of the one cycle
+    # A sine of half the sampling rate looks larger than it is where it meets its mirror image.
+    assert found.amplitude[found.frequency_hz > 25].max() < 0.0105
+
+
 def measured(k, method="h_pose", reference_ns=0, valid=True, value=None):
     status = FrameStatus.OK if valid else FrameStatus.LOST
     length = opening(k / 60) if value is None else value

@@ -15,14 +15,16 @@ Array = NDArray[np.float64]
 
 MIN_SAMPLES = 10
 PADDED = 8  # times the length of the record: so many lines between two frequencies that it tells apart
+SIDE_LOBE = 0.1  # of the amplitude at the lowest frequency; a peak below it can be a side lobe of what is slower still
 FINER = 8  # parts of the median interval, to which the times are rounded
 
 
 @dataclass(frozen=True)
 class Spectrum:
-    """frequency_hz, amplitude: (m,) from 1 over the record's length to half the sampling rate; the amplitude is that
-    of a sine, half its peak to peak, in the unit of the values. dominating_hz, dominating: the highest peak, between
-    the lines; NaN if no peak stands out from the record's ends."""
+    """frequency_hz, amplitude: (m,) from 1 over the record's length to as much below half the sampling rate, where a
+    sine is no longer told from its mirror image; the amplitude is that of a sine, half its peak to peak, in the unit of
+    the values. dominating_hz, dominating: the highest peak, between the lines; NaN if no peak stands out from the
+    record's ends."""
 
     frequency_hz: Array
     amplitude: Array
@@ -52,9 +54,9 @@ def spectrum(time_s: Array, values: Array) -> Spectrum:
     weight /= weight.sum()
     values = values - weight @ values
     frequency, amplitude = _sines(time_s, weight, values, interval_s / FINER, PADDED * length_s)
-    kept = (frequency >= 1 / length_s) & (frequency <= 0.5 / interval_s)
+    kept = (frequency >= 1 / length_s) & (frequency <= 0.5 / interval_s - 1 / length_s)
     frequency, amplitude = frequency[kept], amplitude[kept]
-    peaks, _ = find_peaks(amplitude)
+    peaks, _ = find_peaks(amplitude, height=SIDE_LOBE * amplitude[0])
     if not len(peaks):
         return Spectrum(frequency, amplitude, math.nan, math.nan)
     i = peaks[np.argmax(amplitude[peaks])]
