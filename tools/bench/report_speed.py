@@ -100,6 +100,7 @@ def speed(results: dict[str, Any]) -> str:
             *(f"{1e3 * wall:.1f}" for wall in row["wall_s"]),
             f"{row['wall_s'][0] / row['wall_s'][1]:.2f}",
             f"{row['parts_s']['icgn_s'][0] / row['parts_s']['icgn_s'][1]:.2f}",
+            f"{2 * row['beside_s'][0] / row['beside_s'][1]:.2f}",
         )
         for row in results["threads"]
     ]
@@ -116,7 +117,14 @@ def speed(results: dict[str, Any]) -> str:
         "iterations",
     )
     pair_header = ("motion", "spline", "instructions", "points/s/thread", "range", "CPU time [ms]", "lost")
-    thread_header = ("spline", "one thread [ms]", "two [ms]", "gain", "gain of correlate() alone")
+    thread_header = (
+        "spline",
+        "one thread [ms]",
+        "two [ms]",
+        "gain",
+        "gain of correlate() alone",
+        "two processes against one",
+    )
     return f"""## Speed of this engine
 
 Video: a frame against a fixed reference; all of its work is counted: seed maps from a homography that is 0.3 px off,
@@ -128,7 +136,8 @@ Image pair: reference, its check for texture, features, guess, pre-filter, IC-GN
 
 {table(pair_header, pairs)}
 
-Threads: wall time of a frame turned by 2 degrees; the fastest of the repeats, as other programs only add to it.
+Threads: wall time of a frame turned by 2 degrees; the fastest of the repeats, as other programs only add to it. Two
+processes of one thread each, which share nothing but the machine, tell what its second core is worth.
 
 {table(thread_header, threads) if threads else "Not measured: one core only."}"""
 
@@ -155,7 +164,7 @@ def roofline(results: dict[str, Any]) -> str:
     header = ("spline", "motion", "measured [us]", "arithmetic [us]", "L1 loads [us]", "measured / larger bound")
     return f"""## Roofline
 
-One more iteration of one subset of 31 x 31 px (difference of runs that stop after three and after one), beside the
+One more iteration of one subset of 31 x 31 px (difference of runs that stop after two and after one), beside the
 least
 that it needs. A core of this machine does {peak["fma_per_s"] / 1e9:.0f} G float32 multiply-adds a second in registers
 and

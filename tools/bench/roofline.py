@@ -51,7 +51,7 @@ def machine(folder: Path) -> dict[str, Any]:
 def roofline(folder: Path, quick: bool) -> dict[str, Any]:
     """Peak rates, and for each case the time of one more iteration of one subset beside the two bounds.
 
-    That time is the difference of runs that stop after three and after one iteration, so what a subset costs besides
+    That time is the difference of runs that stop after two and after one iteration, so what a subset costs besides
     its iterations is not in it.
     """
     peak = machine(folder)
@@ -67,7 +67,7 @@ def roofline(folder: Path, quick: bool) -> dict[str, Any]:
             for motion in (shift(0.5, 0.5), TURNED_2, TURNED_6):
                 scene = scenes.pair(motion)
                 spent, done = [], []
-                for count in (1, 3):
+                for count in (1, 2):
                     limited = {**settings, "max_iterations": count}
                     runs = [
                         worker.ask(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -65,8 +66,26 @@ def threads(folder: Path, quick: bool) -> list[dict[str, Any]]:
         one, two = _measured(folder, wanted, repeats=5 if quick else 15)
         parts = {part: [float(row["arrays"][f"wall_{part}"].min()) for row in (one, two)] for part in PARTS}
         wall = [float(sum(row["arrays"][f"wall_{part}"] for part in PARTS).min()) for row in (one, two)]
-        rows.append({"degree": degree, "name": name, "wall_s": wall, "parts_s": parts})
+        beside = _beside_each_other(folder, wanted[0], repeats=5 if quick else 15)
+        rows.append({"degree": degree, "name": name, "wall_s": wall, "parts_s": parts, "beside_s": beside})
     return rows
+
+
+def _beside_each_other(folder: Path, wanted: tuple[Motion, dict[str, Any]], repeats: int) -> list[float]:
+    """Median wall time of a process while the second core is free, and while another one does the same there."""
+    motion, setup = wanted
+    scene = Scenes(folder).pair(motion)
+    with contextlib.ExitStack() as stack:
+        workers = [stack.enter_context(Worker("rgbd_dic", setup, folder, core=core)) for core in (0, 1)]
+
+        def ask(worker: Worker) -> float:
+            run = worker.ask(scene.reference, scene.target, homography=motion.homography.tolist())
+            return float(sum(run.arrays[f"wall_{part}"] for part in PARTS))
+
+        alone = np.median([ask(workers[0]) for _ in range(repeats + 1)][1:])
+        with ThreadPoolExecutor(2) as pool:
+            both = np.median([list(pool.map(ask, workers)) for _ in range(repeats + 1)][1:])
+    return [float(alone), float(both)]
 
 
 def _measured(folder: Path, wanted: list[tuple[Motion, dict[str, Any]]], repeats: int) -> list[dict[str, Any]]:

@@ -56,9 +56,9 @@ class EngineError(Exception):
 
 
 class Worker:
-    """An engine in its process: `ask` it about pairs; it ends with the `with` block."""
+    """An engine in its process: `ask` it about pairs; it ends with the `with` block. `core` is the first it may use."""
 
-    def __init__(self, adapter: str, setup: dict[str, Any], folder: Path, threads: int = 1) -> None:
+    def __init__(self, adapter: str, setup: dict[str, Any], folder: Path, threads: int = 1, core: int = 0) -> None:
         ours = adapter == "rgbd_dic"
         python = Path(sys.executable) if ours else BENCH_PYTHON
         if not python.exists():
@@ -67,7 +67,7 @@ class Worker:
         if not ours:
             for name in ("PYTHONPATH", "LD_LIBRARY_PATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE"):
                 environment.pop(name, None)
-        cores = sorted(os.sched_getaffinity(0))[:threads]
+        cores = sorted(os.sched_getaffinity(0))[core : core + threads]
         self._setup, self._out = setup, folder / f"{adapter}_{id(self)}.npz"
         self._log = tempfile.TemporaryFile("w+")  # noqa: SIM115 (closed when the process has ended)
         reading, writing = os.pipe()
