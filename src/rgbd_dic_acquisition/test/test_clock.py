@@ -145,7 +145,8 @@ def test_two_devices_pair_within_two_milliseconds(seed):
     offsets = stamps[0] - stamps[1][nearest]
     true_offsets = truths[0] - truths[1][nearest]
     assert np.max(np.abs(offsets - true_offsets)) < 2e6
-    assert np.max(np.abs(true_offsets)) < 25e6 + 2e6  # half a period of the slower: a neighbour, not any
+    nearest_there_is = np.min(np.abs(truths[1][None, :] - truths[0][:, None]), axis=1)
+    assert np.all(np.abs(true_offsets) < nearest_there_is + 2e6)  # of two as near, either may be taken
 
 
 def test_a_known_delay_is_taken_off():
