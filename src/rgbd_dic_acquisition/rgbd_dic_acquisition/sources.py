@@ -19,10 +19,12 @@ class ImageFrame:
     Attributes:
         stamp_ns: host time of the middle of the exposure [ns since the epoch].
         image: (rows, cols) uint8.
+        device_ns: the same moment by the camera's own clock [ns]; None if it has none.
     """
 
     stamp_ns: int
     image: NDArray[np.uint8]
+    device_ns: int | None = None
 
 
 @dataclass(frozen=True)

@@ -56,7 +56,8 @@ class WatchedPublisher:
 class Diagnostics:
     """One status for the node (its counters, what it tells, its level and message) and one for each watched publisher.
 
-    Status names are `/node` and `/node: /topic`. The level is OK until `warn`, then WARN until `ok`. It runs
+    Status names are `/node` and `/node: /topic`. The level is OK until `warn`, then WARN until `ok`; a change of it is
+    sent at once. It runs
     by the steady clock, so that a node that waits for /clock is heard too.
     """
 
@@ -95,11 +96,17 @@ class Diagnostics:
         if text != self._warning or now - self._warned_at > REPEAT_WARNING_S:
             self._node.get_logger().warning(text)
             self._warned_at = now
-        self._warning = text
+        self._set(text)
 
     def ok(self) -> None:
         """Set the level back to OK."""
-        self._warning = ""
+        self._set("")
+
+    def _set(self, warning: str) -> None:
+        changed = bool(warning) != bool(self._warning)
+        self._warning = warning
+        if changed:
+            self._publish()
 
     def _publish(self) -> None:
         level = DiagnosticStatus.WARN if self._warning else DiagnosticStatus.OK
