@@ -15,7 +15,7 @@ F = TypeVar("F")
 SILENT_AFTER_S = 0.1
 # ... and is opened anew when the silence lasts this long [s]: a frozen one may go on by itself.
 REOPEN_AFTER_S = 1.0
-RETRY_S = 0.5
+RETRY_S = 0.2
 
 
 class RevivableSource(Protocol[F]):

@@ -36,16 +36,19 @@ needs_aravis = pytest.mark.skipif(bool(why_not()), reason=why_not())
 class Peer:
     """A camera process that can be killed, frozen, thawed and started again."""
 
-    def __init__(self, *command: str) -> None:
-        self._command = command
+    def __init__(self, *command: str, speaks: bool = False) -> None:
+        self._command, self._speaks = command, speaks
         self.start()
 
     def start(self) -> None:
-        self._process = subprocess.Popen(self._command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        """Returns once it listens, if it says so."""
+        self._process = subprocess.Popen(self._command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+        if self._speaks:
+            assert "listens" in self._process.stdout.readline()
 
     def kill(self) -> None:
         self._process.kill()
-        self._process.wait()
+        self._process.communicate()
 
     def freeze(self) -> None:
         self._process.send_signal(signal.SIGSTOP)
@@ -70,7 +73,7 @@ def our_camera(images: np.ndarray, folder: Path, *options: str, rate_hz: float =
     np.save(folder / "images.npy", images)
     module = "rgbd_dic_acquisition.simulator.gige_camera"
     given = ("--address", ADDRESS, "--rate", str(rate_hz), "--log", str(folder / "sent.csv"))
-    return Peer(sys.executable, "-m", module, str(folder / "images.npy"), *given, *options)
+    return Peer(sys.executable, "-m", module, str(folder / "images.npy"), *given, *options, speaks=True)
 
 
 def sent(folder: Path) -> np.ndarray:

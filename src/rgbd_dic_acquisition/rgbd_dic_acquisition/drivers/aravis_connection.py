@@ -16,6 +16,7 @@ from ..settings import Settings, setting
 from .aravis_library import aravis, device_id, refused
 
 LATCH_EVERY_S = 1.0
+CLOSE_S = 1.0
 # Commands and values of a clock that can be asked for its time, by SFNC 2 and by GigE Vision 1.
 LATCHES = (("TimestampLatch", "TimestampLatchValue"), ("GevTimestampControlLatch", "GevTimestampValue"))
 TICKS_A_SECOND = "GevTimestampTickFrequency"
@@ -94,8 +95,13 @@ class Connection:
         return self._gone.is_set() or (self._camera.is_gv_device() and not self._device.is_controller())
 
     def close(self) -> None:
-        """Stop and let go. Takes seconds if the camera does not answer."""
+        """Stop and let go. A camera that does not answer is left to time out by itself, which takes many seconds."""
         self._closed.set()
+        leaving = threading.Thread(target=self._let_go, name="closing the camera", daemon=True)
+        leaving.start()
+        leaving.join(CLOSE_S)
+
+    def _let_go(self) -> None:
         if self._housekeeper is not None:
             self._housekeeper.join()
         if not self.lost:
