@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+import os
 import threading
 import time
 from collections import deque
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from ..calibration import Camera
@@ -17,6 +20,8 @@ from .aravis_library import aravis, device_id, refused
 
 LATCH_EVERY_S = 1.0
 CLOSE_S = 1.0
+RECEIVING = ("arv_gv_stream", "arv_uv_stream")  # names of Aravis' threads
+RECEIVING_NICE = -10
 # Commands and values of a clock that can be asked for its time, by SFNC 2 and by GigE Vision 1.
 LATCHES = (("TimestampLatch", "TimestampLatchValue"), ("GevTimestampControlLatch", "GevTimestampValue"))
 TICKS_A_SECOND = "GevTimestampTickFrequency"
@@ -33,7 +38,7 @@ class AravisSettings(Settings):
     offset_x_px: int = setting(0, doc="first column of the region on the sensor", unit="px", low=0, high=100000)
     offset_y_px: int = setting(0, doc="first row of the region on the sensor", unit="px", low=0, high=100000)
     exposure_s: float = setting(0.002, doc="exposure time", unit="s", low=1e-6, high=10.0)
-    gain: float = setting(10.0, doc="gain, in the camera's own unit (FLIR: dB)", low=0.0, high=100.0)
+    gain: float = setting(10.0, doc="amplification, in the camera's own unit (FLIR: dB)", low=0.0, high=100.0)
     frame_rate_hz: float = setting(60.0, doc="images a second when it runs free", unit="Hz", low=0.01, high=10000.0)
     trigger_source: str = setting("", doc="input that starts each exposure, such as Line0; empty: it runs free")
     stamps: str = setting(
@@ -150,6 +155,7 @@ class Connection:
         payload = self._camera.get_payload()
         for _ in range(settings.buffers):
             stream.push_buffer(Arv.Buffer.new_allocate(payload))
+        _prefer_receiving()
         self._camera.start_acquisition()
         return stream
 
@@ -183,6 +189,14 @@ class Connection:
             if latched != old:
                 self.latches.append((latched * NS // second, before_ns, after_ns))
                 return
+
+
+def _prefer_receiving() -> None:
+    """Let the thread that receives go before the rest of a busy computer, where this process may say so."""
+    for thread in Path("/proc/self/task").iterdir():
+        with contextlib.suppress(OSError):  # it has ended, or the right is missing
+            if (thread / "comm").read_text().strip() in RECEIVING:
+                os.setpriority(os.PRIO_PROCESS, int(thread.name), RECEIVING_NICE)
 
 
 def _same(name: str, wanted: tuple[int, ...], got: tuple[int, ...]) -> None:
