@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 
@@ -149,6 +150,22 @@ def test_numbers_that_wrap_are_no_loss():
     with aravis_camera(), _opened(_camera(frame_rate_hz=200.0, size=(64, 48))) as camera:
         _read(camera, 800)
         assert camera.counts["lost"] + camera.counts["incomplete"] < 10
+
+
+@needs_aravis
+def test_a_trigger_makes_each_image():
+    with aravis_camera(), _opened(_camera(trigger_source="Software")) as camera:
+        assert camera.period_s == math.inf and camera.read(0.3) is None
+        for _ in range(3):
+            camera._connection._camera.software_trigger()  # what a signal on a line does
+            assert len(_read(camera, 1)) == 1
+        assert camera.read(0.3) is None
+
+
+@needs_aravis
+def test_the_packets_are_as_large_as_the_network_passes():
+    with aravis_camera(), _opened(_camera(packet_bytes=0)) as camera:
+        assert _read(camera, 10)
 
 
 def test_without_aravis_the_reason_says_what_to_install(monkeypatch):

@@ -1,6 +1,6 @@
 """camera_node at full size: a GigE Vision camera of 1440 x 1080 at 60 Hz on 127.0.0.1, and one subscriber.
 
-    tools/run python tools/bench/gige.py --seconds 30 --packet 1500
+    tools/run python tools/payload/measure_camera.py --seconds 30 --packet 1500
 
 Prints a row of the table in docs/payload.md: images that the camera sent, that the node received and lost, that the
 subscriber got, and the processor time of each process.
