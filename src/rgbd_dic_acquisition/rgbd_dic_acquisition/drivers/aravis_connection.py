@@ -38,7 +38,7 @@ class AravisSettings(Settings):
     offset_x_px: int = setting(0, doc="first column of the region on the sensor", unit="px", low=0, high=100000)
     offset_y_px: int = setting(0, doc="first row of the region on the sensor", unit="px", low=0, high=100000)
     exposure_s: float = setting(0.002, doc="exposure time", unit="s", low=1e-6, high=10.0)
-    gain: float = setting(10.0, doc="amplification, in the camera's own unit (FLIR: dB)", low=0.0, high=100.0)
+    gain: float = setting(10.0, doc="amplification in the camera's own unit (FLIR: dB)", low=0.0, high=100.0)
     frame_rate_hz: float = setting(60.0, doc="images a second when it runs free", unit="Hz", low=0.01, high=10000.0)
     trigger_source: str = setting("", doc="input that starts each exposure, such as Line0; empty: it runs free")
     stamps: str = setting(
