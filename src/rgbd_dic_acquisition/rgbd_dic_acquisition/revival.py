@@ -43,7 +43,7 @@ class Revival(Generic[F]):
 
     Attributes:
         problem: why nothing comes, in words; empty while all is well.
-        reopened: how often the sensor has come back after a loss.
+        reopened: how often the sensor was lost and had to be opened anew.
     """
 
     def __init__(self, source: RevivableSource[F]) -> None:

@@ -72,7 +72,11 @@ class CameraSource(_Source, Protocol):
     """A greyscale camera. `camera` holds its calibration, `frame_id` its optical frame."""
 
     def read(self, timeout_s: float) -> ImageFrame | None:
-        """The next image, or None if none came in time (0 or less does not wait)."""
+        """The next image, or None if none came in time (0 or less does not wait).
+
+        Raises:
+            DeviceError: the camera is lost; `close` and `open` may bring it back.
+        """
 
 
 class TofSource(_Source, Protocol):

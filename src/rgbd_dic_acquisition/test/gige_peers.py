@@ -86,7 +86,7 @@ def calibrated(width: int, height: int) -> Camera:
     return Camera(width, height, float(width), float(width), (width - 1) / 2, (height - 1) / 2)
 
 
-def wait_for(condition, what: str, seconds: float = 20.0) -> float:
+def wait_for(condition, what: str, seconds: float = 60.0) -> float:
     """Seconds until the condition holds."""
     started = time.monotonic()
     while not condition():

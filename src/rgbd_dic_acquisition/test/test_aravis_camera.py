@@ -24,7 +24,7 @@ def _camera(**settings: object) -> AravisCamera:
     return AravisCamera(AravisSettings(**{**GIGE, **settings}), calibrated(*size), "camera_optical_frame")
 
 
-def _opened(camera: AravisCamera, seconds: float = 20.0) -> AravisCamera:
+def _opened(camera: AravisCamera, seconds: float = 60.0) -> AravisCamera:
     """Opened, once its peer has started."""
     end = time.monotonic() + seconds
     while True:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -17,7 +18,7 @@ from graph_ear import GraphEar
 from rgbd_dic_acquisition.calibration import Calibration, save_calibration
 from sensor_msgs.msg import CameraInfo
 
-pytestmark = [needs_aravis, pytest.mark.timeout(120)]
+pytestmark = [needs_aravis, pytest.mark.timeout(280)]
 WIDTH, HEIGHT, RATE_HZ = 320, 240, 60.0
 EXPOSURE_NS = 100_000
 TOPIC = "camera/camera_info"
@@ -64,7 +65,7 @@ class Flown:
     def wait_for_images(self, count: int) -> float:
         """Seconds until so many more came, counted to the first of them."""
         before, started = len(self.stamps), time.monotonic()
-        wait_for(lambda: len(self.stamps) >= before + count, f"images; {self.ear.message}; {self.log.read_text()}")
+        wait_for(lambda: len(self.stamps) >= before + count, "images")
         return self.ear.heard[TOPIC][before][0] - started
 
     def wait_for_level(self, level: int) -> float:
@@ -141,6 +142,39 @@ def test_a_camera_that_comes_late_is_waited_for(tmp_path, images):
         with our_camera(images, tmp_path):
             flown.wait_for_images(10)
             flown.wait_for_level(0)
+
+
+@pytest.mark.slow
+def test_garbage_on_its_ports_harms_nothing(tmp_path, images):
+    """For a minute: noise, and headers of the stream and of the control protocol with noise after them."""
+    random = np.random.default_rng(7)
+    headers = [b"", *(bytes([0, 0, 253, number]) + bytes([kind]) for number in range(4) for kind in (1, 2, 3, 4, 0x81))]
+    headers += [bytes.fromhex(text) for text in ("42010002", "00000003", "00000081", "00000083", "00008085")]
+    with our_camera(images, tmp_path) as _, Flown(tmp_path) as flown:
+        flown.wait_for_images(60)
+        ports, sent_packets = _loopback_ports(flown.process.pid), 0
+        assert ports
+        end = time.monotonic() + 60
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+            while time.monotonic() < end:
+                for _ in range(20):
+                    noise = random.bytes(int(random.integers(0, 1500)))
+                    packet = headers[int(random.integers(len(headers)))] + noise
+                    stranger.sendto(packet, (ADDRESS, ports[int(random.integers(len(ports)))]))
+                sent_packets += 20
+                time.sleep(0.005)
+                assert flown.process.poll() is None, flown.log.read_text()
+        flown.wait_for_images(60)
+        flown.wait_for_level(0)
+        print(f"{sent_packets} packets to ports {ports}; {flown.ear.values}")
+        _stamps_are_true(flown, tmp_path)
+
+
+def _loopback_ports(process: int) -> list[int]:
+    """UDP ports on 127.0.0.1 that a process listens on."""
+    inodes = {os.readlink(link) for link in Path(f"/proc/{process}/fd").iterdir() if link.is_symlink()}
+    rows = [line.split() for line in Path(f"/proc/{process}/net/udp").read_text().splitlines()[1:]]
+    return [int(row[1][9:], 16) for row in rows if row[1][:8] == "0100007F" and f"socket:[{row[9]}]" in inodes]
 
 
 def test_a_node_that_was_stopped_itself_goes_on(tmp_path, images):

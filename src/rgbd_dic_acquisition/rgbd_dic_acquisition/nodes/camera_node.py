@@ -15,11 +15,11 @@ from ..drivers.aravis_camera import AravisCamera
 from ..drivers.aravis_connection import AravisSettings
 from ..errors import CalibrationError, RgbdDicError
 from ..messages import camera_info_message, header_message, image_message, stamp_message
-from ..revival import RevivableSource, Revival
+from ..revival import Revival
 from ..settings import setting
 from ..simulator.flight import FlightSettings
 from ..simulator.live import SimulatedCamera
-from ..sources import CameraSource, ImageFrame
+from ..sources import ImageFrame
 from .diagnostics import Diagnostics
 from .parameters import declare, declare_path
 from .ros_messages import QosSettings, image_qos, make
@@ -52,7 +52,7 @@ class CameraNode(Node):
         path = declare_path(self, "calibration", "calibration.yaml; a simulated camera has its own", False)
         calibrated = load_calibration(path).camera if path else None
         self._closing = False
-        self._source: RevivableSource[ImageFrame] = self._make_source(flight, driver, calibrated)
+        self._source = self._make_source(flight, driver, calibrated)
         self._camera = calibrated or self._source.camera
         self._revival = Revival(self._source)
         self._counted: Counter[str] = Counter()
@@ -81,7 +81,9 @@ class CameraNode(Node):
         self._closing = True
         self._revival.close()
 
-    def _make_source(self, flight: FlightSettings, driver: AravisSettings, calibrated: Camera | None) -> CameraSource:
+    def _make_source(
+        self, flight: FlightSettings, driver: AravisSettings, calibrated: Camera | None
+    ) -> SimulatedCamera | AravisCamera:
         if self._settings.source == "simulated":
             return SimulatedCamera(flight, self._say_progress)
         if calibrated is None:

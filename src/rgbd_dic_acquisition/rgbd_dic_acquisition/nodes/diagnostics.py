@@ -12,6 +12,7 @@ from rclpy.node import Node
 
 MATCHED = "matched subscriptions"
 PERIOD_S = 1.0
+SOONEST_S = 0.1  # after another, for a change of level
 REPEAT_WARNING_S = 5.0
 
 
@@ -68,7 +69,7 @@ class Diagnostics:
         self._told: dict[str, str] = {}
         self._publishers: list[WatchedPublisher] = []
         self._warning = ""
-        self._warned_at = float("-inf")
+        self._warned_at = self._sent_at = float("-inf")
         self._output = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._timer = node.create_timer(PERIOD_S, self._publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
@@ -105,10 +106,11 @@ class Diagnostics:
     def _set(self, warning: str) -> None:
         changed = bool(warning) != bool(self._warning)
         self._warning = warning
-        if changed:
+        if changed and time.monotonic() - self._sent_at > SOONEST_S:
             self._publish()
 
     def _publish(self) -> None:
+        self._sent_at = time.monotonic()
         level = DiagnosticStatus.WARN if self._warning else DiagnosticStatus.OK
         message = DiagnosticArray()
         message.header.stamp = self._node.get_clock().now().to_msg()

@@ -64,6 +64,7 @@ class GigeCamera:
     Args:
         images: (N, rows, cols) uint8, shown there and back by the host's clock; the camera must be set to this size.
         rate_hz: images a second of that; the camera sends at the rate that it is set to.
+        has_latch: whether its clock can be asked for its time, and it has a temperature.
         clock: (device time at host time 0 [ns], rate of the device's clock over the host's, - 1).
         log: a file that gets a line `frame number,host time,device time,index` for each frame, before it is sent.
     """
