@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -12,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rgbd_dic_acquisition.calibration import Camera
-from rgbd_dic_acquisition.drivers.aravis_library import INSTALL, aravis
+from rgbd_dic_acquisition.drivers.aravis_library import GVCP_PORT, INSTALL, aravis
 from rgbd_dic_acquisition.errors import DeviceError
 
 PROGRAM = "arv-fake-gv-camera-0.8"
@@ -41,7 +42,8 @@ class Peer:
         self.start()
 
     def start(self) -> None:
-        """Returns once it listens, if it says so."""
+        """Returns once it listens, if it says so; waits while another camera is on the address."""
+        wait_for(_port_is_free, f"the end of another camera on {ADDRESS}")
         self._process = subprocess.Popen(self._command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
         if self._speaks:
             assert "listens" in self._process.stdout.readline()
@@ -61,6 +63,15 @@ class Peer:
 
     def __exit__(self, *_: object) -> None:
         self.kill()
+
+
+def _port_is_free() -> bool:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.bind((ADDRESS, GVCP_PORT))
+        except OSError:
+            return False
+    return True
 
 
 def aravis_camera(serial: str = "GV42", lost_per_thousand: float = 0.0) -> Peer:

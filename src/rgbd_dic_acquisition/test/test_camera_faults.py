@@ -21,6 +21,7 @@ from sensor_msgs.msg import CameraInfo
 pytestmark = [needs_aravis, pytest.mark.timeout(280)]
 WIDTH, HEIGHT, RATE_HZ = 320, 240, 60.0
 EXPOSURE_NS = 100_000
+STRANGER = "127.0.0.66"
 TOPIC = "camera/camera_info"
 _domains = itertools.count(os.getpid())
 
@@ -146,7 +147,7 @@ def test_a_camera_that_comes_late_is_waited_for(tmp_path, images):
 
 @pytest.mark.slow
 def test_garbage_on_its_ports_harms_nothing(tmp_path, images):
-    """For a minute: noise, and headers of the stream and of the control protocol with noise after them."""
+    """For a minute, of a stranger: noise, and headers of the stream and the control protocol with noise after them."""
     random = np.random.default_rng(7)
     headers = [b"", *(bytes([0, 0, 253, number]) + bytes([kind]) for number in range(4) for kind in (1, 2, 3, 4, 0x81))]
     headers += [bytes.fromhex(text) for text in ("42010002", "00000003", "00000081", "00000083", "00008085")]
@@ -156,6 +157,7 @@ def test_garbage_on_its_ports_harms_nothing(tmp_path, images):
         assert ports
         end = time.monotonic() + 60
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+            stranger.bind((STRANGER, 0))
             while time.monotonic() < end:
                 for _ in range(20):
                     noise = random.bytes(int(random.integers(0, 1500)))

@@ -17,6 +17,7 @@ from ..clock import NS
 from ..errors import DeviceError, SettingsError
 from ..settings import Settings, setting
 from .aravis_library import aravis, device_id, refused
+from .datagram_guard import accept_only_from
 
 LATCH_EVERY_S = 1.0
 CLOSE_S = 1.0
@@ -149,9 +150,12 @@ class Connection:
         if self._camera.is_gv_device():
             self._camera.gv_set_stream_options(Arv.GvStreamOption.PACKET_SOCKET_DISABLED)
         stream = self._camera.create_stream(None, None)
-        if self._camera.is_gv_device() and settings.socket_buffer_bytes:
-            stream.set_property("socket-buffer", Arv.GvStreamSocketBuffer.FIXED)
-            stream.set_property("socket-buffer-size", settings.socket_buffer_bytes)
+        if self._camera.is_gv_device():
+            # Aravis believes what it is sent; a forged frame makes it write outside its buffers.
+            accept_only_from(self._device.get_device_address().get_address().to_string(), stream.get_port())
+            if settings.socket_buffer_bytes:
+                stream.set_property("socket-buffer", Arv.GvStreamSocketBuffer.FIXED)
+                stream.set_property("socket-buffer-size", settings.socket_buffer_bytes)
         payload = self._camera.get_payload()
         for _ in range(settings.buffers):
             stream.push_buffer(Arv.Buffer.new_allocate(payload))
