@@ -12,7 +12,7 @@ from rclpy.node import Node
 
 MATCHED = "matched subscriptions"
 PERIOD_S = 1.0
-SOONEST_S = 0.1  # after another, for a change of level
+SOONEST_S = 0.1  # after another, for a change
 REPEAT_WARNING_S = 5.0
 
 
@@ -57,8 +57,8 @@ class WatchedPublisher:
 class Diagnostics:
     """One status for the node (its counters, what it tells, its level and message) and one for each watched publisher.
 
-    Status names are `/node` and `/node: /topic`. The level is OK until `warn`, then WARN until `ok`; a change of it is
-    sent at once. It runs
+    Status names are `/node` and `/node: /topic`. The level is OK until `warn`, then WARN until `ok`; a change is sent
+    at once. It runs
     by the steady clock, so that a node that waits for /clock is heard too.
     """
 
@@ -104,7 +104,7 @@ class Diagnostics:
         self._set("")
 
     def _set(self, warning: str) -> None:
-        changed = bool(warning) != bool(self._warning)
+        changed = warning != self._warning
         self._warning = warning
         if changed and time.monotonic() - self._sent_at > SOONEST_S:
             self._publish()
