@@ -18,6 +18,7 @@ from typing import Any
 import pytest
 import yaml
 from rgbd_dic_acquisition.calibration import load_calibration
+from rgbd_dic_acquisition.drivers.aravis_connection import AravisSettings
 from rgbd_dic_acquisition.drivers.mavlink import MavlinkSettings
 from rgbd_dic_acquisition.nodes.camera_node import CameraNodeSettings
 from rgbd_dic_acquisition.nodes.mavlink_node import MavlinkNodeSettings
@@ -147,7 +148,7 @@ def test_maps_are_described() -> None:
 
 
 ACQUISITION: dict[str, dict[str, type[Settings]]] = {
-    "camera_node": {"": CameraNodeSettings, "flight": FlightSettings},
+    "camera_node": {"": CameraNodeSettings, "aravis": AravisSettings, "flight": FlightSettings},
     "tof_node": {"": TofNodeSettings, "flight": FlightSettings},
     "mavlink_node": {"": MavlinkNodeSettings, "link": MavlinkSettings},
     "recorder_node": {"": RecorderSettings},

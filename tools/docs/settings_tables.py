@@ -7,6 +7,7 @@ from typing import Any
 
 import yaml
 from blocks import table
+from rgbd_dic_acquisition.drivers.aravis_connection import AravisSettings
 from rgbd_dic_acquisition.drivers.mavlink import MavlinkSettings
 from rgbd_dic_acquisition.nodes.camera_node import CameraNodeSettings
 from rgbd_dic_acquisition.nodes.mavlink_node import MavlinkNodeSettings
@@ -27,6 +28,7 @@ OFFLINE = ("panel_finding",)  # stages before the graph; no node has their param
 NODES: dict[str, type[Settings]] = {
     "sensor_qos": SensorQosSettings,
     "camera_node": CameraNodeSettings,
+    "aravis": AravisSettings,
     "tof_node": TofNodeSettings,
     "mavlink_node": MavlinkNodeSettings,
     "link": MavlinkSettings,

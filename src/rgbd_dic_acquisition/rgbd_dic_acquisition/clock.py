@@ -1,10 +1,13 @@
-"""Device time to host time from nothing but the arrival of what a device sends.
+"""Device time to host time, from the arrival of what a device sends or from latches of its clock.
 
-Each sample says: host time of an event = device time + offset, and arrival - device time = offset +
-delivery. The delivery is never negative, often nearly constant and at times very long; the rates of two
-oscillators differ by a nearly constant amount. So the offset is the line that supports the cloud of
-(device time, arrival - device time) from below. The shortest delivery itself cannot be seen from one side;
-`fixed_delay_ns` takes it off where it is known.
+*Arrivals.* Each sample says: arrival - device time = offset + delivery. The delivery is never negative, often
+nearly constant and at times very long; the rates of two oscillators differ by a nearly constant amount. So the
+offset is the line that supports the cloud of (device time, arrival - device time) from below. The shortest
+delivery itself cannot be seen from one side; `fixed_delay_ns` takes it off where it is known.
+
+*Latches.* Where the host can ask the device for its time, the answer belongs to a moment between the question
+and the answer. So every latch bounds the offset from both sides, and half of what is between the two lines is all
+that remains unknown, the delivery of the frames with it. Once a clock is latched, arrivals no longer count.
 """
 
 from __future__ import annotations
@@ -17,6 +20,10 @@ from .errors import SettingsError
 NS = 1_000_000_000
 # A device time this far back is a restart of the device, not a packet that was overtaken [ns].
 RESTART_NS = 1 * NS
+# The host's clock was set if the offset changes by more than this [ns] ...
+STEP_NS = NS // 2
+# ... and, where that is later, does so in all samples of this long: single ones are only late [ns].
+LATE_NS = 2 * NS
 
 
 @dataclass(frozen=True)
@@ -26,7 +33,8 @@ class HostStamp:
     Attributes:
         stamp_ns: host time [ns since the epoch]; later for a later device time, never after the arrival of
             its own sample, and without jumps back while the estimate converges.
-        uncertainty_ns: standard uncertainty of it without the shortest delivery [ns]; infinite until known.
+        uncertainty_ns: standard uncertainty of it [ns], without the shortest delivery if the clock was never
+            latched; infinite until known.
     """
 
     stamp_ns: int
@@ -35,15 +43,16 @@ class HostStamp:
 
 @dataclass
 class HostClock:
-    """Follows the offset of one device's clock over a sliding window.
+    """Follows the offset of one device's clock over a sliding window. Not for two threads at a time.
 
     Attributes:
         window_ns: how far back samples count [ns of device time].
         resolution_ns: step of the device's time stamps [ns]; they are taken to be cut off, not rounded.
-        fixed_delay_ns: shortest time from the event to its arrival [ns], if known.
+        fixed_delay_ns: shortest time from the event to its arrival [ns], if known; counts without latches.
         max_rate: largest difference in rate of the two clocks, without unit; the window must see a second of
             it before a rate is believed at all.
-        restarts: how often the device's time has jumped back, and the estimate begun anew.
+        restarts: how often the estimate has begun anew, as the device's time has jumped back or the host's
+            clock was set by more than half a second.
     """
 
     window_ns: int = 30 * NS
@@ -51,9 +60,11 @@ class HostClock:
     fixed_delay_ns: int = 0
     max_rate: float = 500e-6
     restarts: int = 0
-    _bins: list[tuple[int, int]] = field(default_factory=list, repr=False)
-    _newest_ns: int | None = field(default=None, repr=False)
-    _last: tuple[int, int] | None = field(default=None, repr=False)
+    _above: _SupportingLine = field(init=False, repr=False)
+    _below: _SupportingLine = field(init=False, repr=False)  # of the negative offsets; empty until latched
+    _newest_ns: int | None = field(default=None, init=False, repr=False)
+    _last: tuple[int, int] | None = field(default=None, init=False, repr=False)
+    _late_since: tuple[int, int] | None = field(default=None, init=False, repr=False)
 
     def __post_init__(self) -> None:
         if self.window_ns < NS or self.resolution_ns < 1:
@@ -61,56 +72,76 @@ class HostClock:
                 f"HostClock: window_ns = {self.window_ns} must be at least {NS}, resolution_ns = "
                 f"{self.resolution_ns} at least 1"
             )
+        self._forget()
+
+    @property
+    def latched(self) -> bool:
+        """Whether the stamps come from latches."""
+        return bool(self._below)
+
+    def latch(self, device_ns: int, before_ns: int, after_ns: int) -> None:
+        """Take into account that the device's clock was at `device_ns` between two host times."""
+        if not self.latched:
+            self._forget()  # lines through arrivals
+        self._advance(device_ns)
+        middle_ns = (before_ns + after_ns) // 2 - device_ns
+        if self.latched and abs(middle_ns - self._offset(device_ns)) > STEP_NS + (after_ns - before_ns) / 2:
+            self._begin_anew()
+            self._advance(device_ns)
+        self._above.add(device_ns, after_ns - device_ns)
+        self._below.add(device_ns, device_ns - before_ns)
 
     def stamp(self, device_ns: int, arrival_ns: int) -> HostStamp:
-        """Take a sample into account and map its device time to host time."""
-        if self._newest_ns is not None and device_ns < self._newest_ns - RESTART_NS:
-            self._bins, self._newest_ns, self._last = [], None, None
-            self.restarts += 1
-        newest_ns = max(device_ns, self._newest_ns or device_ns)
-        self._newest_ns = newest_ns
-        self._insert(device_ns, arrival_ns - device_ns)
-        rate = self._rate()
-        offset_ns = self._offset(device_ns, rate)
+        """Map a device time to host time; without latches its arrival is a sample itself."""
+        self._advance(device_ns)
+        if not self.latched:
+            if self._was_set(device_ns, arrival_ns):
+                self._begin_anew()
+                self._advance(device_ns)
+            self._above.add(device_ns, arrival_ns - device_ns)
         # Time that was cut off is half a step early on average; the envelope follows those that are least so.
-        stamp_ns = device_ns + math.floor(offset_ns) + self.resolution_ns // 2 - self.fixed_delay_ns
-        return HostStamp(self._monotone(device_ns, stamp_ns, arrival_ns), self._uncertainty(rate))
+        stamp_ns = device_ns + math.floor(self._offset(device_ns)) + self.resolution_ns // 2
+        stamp_ns -= 0 if self.latched else self.fixed_delay_ns
+        return HostStamp(self._monotone(device_ns, stamp_ns, arrival_ns), self._uncertainty(device_ns))
 
-    def _insert(self, device_ns: int, offset_ns: int) -> None:
-        """Keep the lowest point of each of about 60 stretches of the window."""
-        width = max(self.window_ns // 60, 1)
-        first_kept = self._newest_ns - self.window_ns
-        bins = {time // width: (time, offset) for time, offset in self._bins if time >= first_kept}
-        index = device_ns // width
-        if index not in bins or offset_ns < bins[index][1]:
-            bins[index] = (device_ns, offset_ns)
-        self._bins = sorted(bins.values())
+    def _offset(self, device_ns: int) -> float:
+        above = self._above.at(device_ns)
+        return (above - self._below.at(device_ns)) / 2 if self.latched else above
 
-    def _rate(self) -> float:
-        """Slope of the supporting line that has the least mean distance to the points."""
-        if self._bins[-1][0] - self._bins[0][0] < NS:
-            return 0.0
-        middle = sum(time - self._bins[0][0] for time, _ in self._bins) / len(self._bins) + self._bins[0][0]
-        hull: list[tuple[int, int]] = []
-        for point in self._bins:
-            while len(hull) >= 2 and _is_above(hull[-2], hull[-1], point):
-                hull.pop()
-            hull.append(point)
-        right = next(index for index, point in enumerate(hull) if point[0] >= middle)
-        (t0, o0), (t1, o1) = hull[right - 1], hull[right]
-        return min(max((o1 - o0) / (t1 - t0), -self.max_rate), self.max_rate)
+    def _uncertainty(self, device_ns: int) -> float:
+        """Half the gap between the lines, taken as evenly distributed, or the scatter of the lowest arrivals."""
+        resolution_ns = self.resolution_ns / math.sqrt(12)
+        if not self.latched:
+            return math.hypot(self._above.scatter(), resolution_ns)
+        gap_ns = self._above.at(device_ns) + self._below.at(device_ns)
+        drift_ns = self._above.rate_limit() * self._above.age(device_ns)
+        return math.hypot(gap_ns / 2 / math.sqrt(3), drift_ns, resolution_ns)
 
-    def _offset(self, device_ns: int, rate: float) -> float:
-        return min(offset + rate * (device_ns - time) for time, offset in self._bins)
+    def _advance(self, device_ns: int) -> None:
+        if self._newest_ns is not None and device_ns < self._newest_ns - RESTART_NS:
+            self._begin_anew()
+        self._newest_ns = max(device_ns, self._newest_ns or device_ns)
 
-    def _uncertainty(self, rate: float) -> float:
-        """From how far the lowest points of the stretches lie above the line, and the device's resolution."""
-        if len(self._bins) < 4:
-            return math.inf
-        now = self._bins[-1][0]
-        line = self._offset(now, rate)
-        above = sorted(offset + rate * (now - time) - line for time, offset in self._bins)
-        return math.hypot(above[len(above) // 2], self.resolution_ns / math.sqrt(12))
+    def _was_set(self, device_ns: int, arrival_ns: int) -> bool:
+        """Whether the host's clock was set: back, or forward, which a backlog that is read at once is not."""
+        if not self._above:
+            return False
+        late_ns = arrival_ns - device_ns - self._above.at(device_ns)
+        if late_ns <= STEP_NS:
+            self._late_since = None
+            return late_ns < -STEP_NS
+        self._late_since = self._late_since or (device_ns, arrival_ns)
+        return min(device_ns - self._late_since[0], arrival_ns - self._late_since[1]) > LATE_NS
+
+    def _begin_anew(self) -> None:
+        self._forget()
+        self._newest_ns = self._last = None
+        self.restarts += 1
+
+    def _forget(self) -> None:
+        self._above = _SupportingLine(self.window_ns, self.max_rate)
+        self._below = _SupportingLine(self.window_ns, self.max_rate)
+        self._late_since = None
 
     def _monotone(self, device_ns: int, stamp_ns: int, arrival_ns: int) -> int:
         """While the estimate falls, go on at no less than half the device's pace instead of jumping back."""
@@ -125,6 +156,64 @@ class HostClock:
             stamp_ns = self._last[1] + 1  # the host's own clock was set back
         self._last = (device_ns, stamp_ns)
         return stamp_ns
+
+
+class _SupportingLine:
+    """The line below the points (device time, offset) of a window, from the lowest of each of 60 stretches of it."""
+
+    def __init__(self, window_ns: int, max_rate: float) -> None:
+        self._window_ns, self._width_ns, self._max_rate = window_ns, max(window_ns // 60, 1), max_rate
+        self._points: list[tuple[int, int]] = []
+        self._rate = 0.0
+
+    def __bool__(self) -> bool:
+        return bool(self._points)
+
+    def add(self, device_ns: int, offset_ns: int) -> None:
+        newest_ns = max(device_ns, self._points[-1][0]) if self._points else device_ns
+        kept = {t // self._width_ns: (t, o) for t, o in self._points if t >= newest_ns - self._window_ns}
+        stretch = device_ns // self._width_ns
+        if stretch not in kept or offset_ns < kept[stretch][1]:
+            kept[stretch] = (device_ns, offset_ns)
+        self._points = sorted(kept.values())
+        self._rate = min(max(self._slope(), -self._max_rate), self._max_rate)
+
+    def at(self, device_ns: int) -> float:
+        """Height of the line [ns]."""
+        return min(offset + self._rate * (device_ns - time) for time, offset in self._points)
+
+    def age(self, device_ns: int) -> int:
+        """Time since the newest point [ns]."""
+        return max(device_ns - self._points[-1][0], 0)
+
+    def rate_limit(self) -> float:
+        """How far off the rate can be: the largest there is while none is known, then as the points scatter."""
+        span_ns = self._points[-1][0] - self._points[0][0]
+        return self._max_rate if span_ns < NS else min(self._max_rate, self.scatter() / span_ns)
+
+    def scatter(self) -> float:
+        """Median height of the points above the line [ns]; infinite from fewer than four."""
+        if len(self._points) < 4:
+            return math.inf
+        now = self._points[-1][0]
+        line = self.at(now)
+        above = sorted(offset + self._rate * (now - time) - line for time, offset in self._points)
+        return above[len(above) // 2]
+
+    def _slope(self) -> float:
+        """Of the supporting line that has the least mean distance to the points."""
+        first_ns = self._points[0][0]
+        if self._points[-1][0] - first_ns < NS:
+            return 0.0
+        middle = sum(time - first_ns for time, _ in self._points) / len(self._points) + first_ns
+        hull: list[tuple[int, int]] = []
+        for point in self._points:
+            while len(hull) >= 2 and _is_above(hull[-2], hull[-1], point):
+                hull.pop()
+            hull.append(point)
+        right = next(index for index, point in enumerate(hull) if point[0] >= middle)
+        (t0, o0), (t1, o1) = hull[right - 1], hull[right]
+        return (o1 - o0) / (t1 - t0)
 
 
 def _is_above(a: tuple[int, int], b: tuple[int, int], c: tuple[int, int]) -> bool:

@@ -25,5 +25,9 @@ class ImageError(RgbdDicError):
     """An image or depth frame cannot be used."""
 
 
+class DeviceError(RgbdDicError):
+    """A sensor is not there, refuses a setting, or lacks the software that reads it."""
+
+
 class MeasurementError(RgbdDicError):
     """A frame cannot be measured; the caller turns it into an invalid row with its reason."""

@@ -19,10 +19,12 @@ class ImageFrame:
     Attributes:
         stamp_ns: host time of the middle of the exposure [ns since the epoch].
         image: (rows, cols) uint8.
+        device_ns: the same moment by the camera's own clock [ns]; None if it has none.
     """
 
     stamp_ns: int
     image: NDArray[np.uint8]
+    device_ns: int | None = None
 
 
 @dataclass(frozen=True)
@@ -70,7 +72,11 @@ class CameraSource(_Source, Protocol):
     """A greyscale camera. `camera` holds its calibration, `frame_id` its optical frame."""
 
     def read(self, timeout_s: float) -> ImageFrame | None:
-        """The next image, or None if none came in time (0 or less does not wait)."""
+        """The next image, or None if none came in time (0 or less does not wait).
+
+        Raises:
+            DeviceError: the camera is lost; `close` and `open` may bring it back.
+        """
 
 
 class TofSource(_Source, Protocol):

@@ -403,7 +403,8 @@ def test_attitude_of_an_autopilot_reaches_the_graph(processes, tmp_path):
 @pytest.mark.parametrize(
     ("node", "parameters", "reason"),
     [
-        ("camera_node", {"source": "webcam"}, r"source = 'webcam': choose one of simulated"),
+        ("camera_node", {"source": "webcam"}, r"source = 'webcam': choose one of simulated, aravis"),
+        ("camera_node", {"aravis__exposure_s": 0.02}, r"longer than the time between images at frame_rate_hz = 60"),
         ("camera_node", {"depth": 0}, r"depth = 0 frames is out of range: must be at least 1"),
         ("camera_node", {"flight__seed": "x"}, r"seed = 'x': expected int"),
         ("tof_node", {"reliability": "maybe"}, r"reliability = 'maybe': choose one of reliable, best_effort"),

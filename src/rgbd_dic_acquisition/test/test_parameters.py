@@ -13,6 +13,7 @@ import rclpy
 import yaml
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rgbd_dic_acquisition.drivers.aravis_connection import AravisSettings
 from rgbd_dic_acquisition.drivers.mavlink import MavlinkSettings
 from rgbd_dic_acquisition.errors import RgbdDicError, SettingsError
 from rgbd_dic_acquisition.nodes.camera_node import CameraNodeSettings
@@ -115,7 +116,7 @@ def test_the_example_file_has_the_defaults():
     """config/acquisition.yaml says that it shows defaults: hold it to that."""
     text = (Path(__file__).parents[1] / "config" / "acquisition.yaml").read_text()
     groups = {
-        "camera_node": (CameraNodeSettings, {"flight": FlightSettings}),
+        "camera_node": (CameraNodeSettings, {"aravis": AravisSettings, "flight": FlightSettings}),
         "tof_node": (TofNodeSettings, {"flight": FlightSettings}),
         "mavlink_node": (MavlinkNodeSettings, {"link": MavlinkSettings}),
         "recorder_node": (RecorderSettings, {}),

@@ -2,80 +2,125 @@
 
 from __future__ import annotations
 
+import time
+from collections import Counter
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 from rclpy.node import Node
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import CameraInfo, Image, TimeReference
 
-from ..calibration import load_calibration
-from ..errors import RgbdDicError
-from ..messages import camera_info_message, image_message
+from ..calibration import Camera, load_calibration
+from ..drivers.aravis_camera import AravisCamera
+from ..drivers.aravis_connection import AravisSettings
+from ..errors import CalibrationError, RgbdDicError
+from ..messages import camera_info_message, header_message, image_message, stamp_message
+from ..revival import Revival
 from ..settings import setting
 from ..simulator.flight import FlightSettings
 from ..simulator.live import SimulatedCamera
-from ..sources import CameraSource
+from ..sources import ImageFrame
 from .diagnostics import Diagnostics
 from .parameters import declare, declare_path
 from .ros_messages import QosSettings, image_qos, make
 from .spinning import run
 
 READ_S = 0.02
+TIME_REFERENCE = "sensor_msgs/msg/TimeReference"
+SAY_LOSS_S = 2.0
 
 
 @dataclass(frozen=True)
 class CameraNodeSettings(QosSettings):
     """Where the images come from and how they are sent."""
 
-    source: str = setting("simulated", doc="where the images come from", choices=("simulated",))
+    source: str = setting("simulated", doc="where the images come from", choices=("simulated", "aravis"))
     frame_id: str = setting("camera_optical_frame", doc="frame of the images: z forward, x right, y down")
 
 
 class CameraNode(Node):
-    """Publishes `camera/image_raw` (mono8) and, with the same stamp, `camera/camera_info`."""
+    """Publishes `camera/image_raw` (mono8) and, with the same stamp, `camera/camera_info`.
+
+    If the camera has a clock of its own, also `camera/time_reference`: host time of the stamp, and the camera's.
+    """
 
     def __init__(self) -> None:
         super().__init__("camera_node")
         self._settings = declare(self, CameraNodeSettings)
         flight = declare(self, FlightSettings, "flight")
-        calibration = declare_path(self, "calibration", "calibration.yaml in place of the source's own", False)
-        self._source: CameraSource = SimulatedCamera(flight, self._say_progress)
-        self._done_opening = False
-        self._camera = load_calibration(calibration).camera if calibration else self._source.camera
+        driver = declare(self, AravisSettings, "aravis")
+        path = declare_path(self, "calibration", "calibration.yaml; a simulated camera has its own", False)
+        calibrated = load_calibration(path).camera if path else None
+        self._closing = False
+        self._source = self._make_source(flight, driver, calibrated)
+        self._camera = calibrated or self._source.camera
+        self._revival = Revival(self._source)
+        self._counted: Counter[str] = Counter()
+        self._loss = (float("-inf"), "")
         self._diagnostics = Diagnostics(self)
         qos = image_qos(self._settings)
         self._image = self._diagnostics.watch(self.create_publisher(Image, "camera/image_raw", qos))
         self._info = self._diagnostics.watch(self.create_publisher(CameraInfo, "camera/camera_info", qos))
+        self._time = self._diagnostics.watch(self.create_publisher(TimeReference, "camera/time_reference", qos))
 
     def work(self) -> Iterator[float]:
         """Publish frame after frame."""
-        yield from self._open()
-        self.get_logger().info(f"{self._settings.source} camera runs: {self._camera}")
+        self._revival.open()
+        ran = False
         while True:
-            frame = self._source.read(READ_S)
+            frame = self._revival.read(READ_S)
+            if self._revival.runs and not ran:
+                self.get_logger().info(f"{self._settings.source} camera runs: {self._camera}")
+            ran = self._revival.runs
             if frame is not None:
-                about = (frame.stamp_ns, self._settings.frame_id)
-                self._image.publish(image_message(make, *about, frame.image, "mono8"))
-                self._info.publish(camera_info_message(make, *about, self._camera))
+                self._publish(frame)
+            self._report()
             yield 0.0
 
     def close(self) -> None:
-        self._source.close()
+        self._closing = True
+        self._revival.close()
 
-    def _open(self) -> Iterator[float]:
-        """Open the source beside the callbacks: it may take seconds, and a node must answer meanwhile."""
-        with ThreadPoolExecutor(1) as beside:
-            opening = beside.submit(self._source.open)
-            try:
-                while not opening.done():
-                    yield 0.05
-            finally:
-                self._done_opening = True
-        opening.result()
+    def _make_source(
+        self, flight: FlightSettings, driver: AravisSettings, calibrated: Camera | None
+    ) -> SimulatedCamera | AravisCamera:
+        if self._settings.source == "simulated":
+            return SimulatedCamera(flight, self._say_progress)
+        if calibrated is None:
+            raise CalibrationError(
+                "source aravis needs the camera's calibration, which also tells the size of its images: "
+                "--ros-args -p calibration:=PATH"
+            )
+        return AravisCamera(driver, calibrated, self._settings.frame_id)
+
+    def _publish(self, frame: ImageFrame) -> None:
+        about = (frame.stamp_ns, self._settings.frame_id)
+        self._image.publish(image_message(make, *about, frame.image, "mono8"))
+        self._info.publish(camera_info_message(make, *about, self._camera))
+        if frame.device_ns is not None:
+            header = header_message(make, frame.stamp_ns, "")
+            device = stamp_message(make, frame.device_ns)
+            self._time.publish(make(TIME_REFERENCE, header=header, time_ref=device, source="camera"))
+
+    def _report(self) -> None:
+        new = self._source.counts - self._counted
+        self._counted = Counter(self._source.counts)
+        for name, count in new.items():
+            self._diagnostics.count(name, count)
+        now = time.monotonic()
+        if new["lost"] or new["incomplete"]:
+            self._loss = (now, "images are lost on the way from the camera: see docs/payload.md, camera")
+        for name, value in self._source.told.items():
+            self._diagnostics.tell(name, value)
+        self._diagnostics.tell("reopened", str(self._revival.reopened))
+        problem = self._revival.problem or (self._loss[1] if now - self._loss[0] < SAY_LOSS_S else "")
+        if problem:
+            self._diagnostics.warn(problem)
+        else:
+            self._diagnostics.ok()
 
     def _say_progress(self, done: int, total: int) -> None:
-        if self._done_opening:
+        if self._closing:
             raise RgbdDicError("ended while the simulated flight was being rendered")
         if done % max(total // 4, 1) == 0:
             self.get_logger().info(f"rendering the simulated flight: {done} of {total} images")

@@ -12,6 +12,7 @@ from rclpy.node import Node
 
 MATCHED = "matched subscriptions"
 PERIOD_S = 1.0
+SOONEST_S = 0.1  # after another, for a change
 REPEAT_WARNING_S = 5.0
 
 
@@ -56,7 +57,8 @@ class WatchedPublisher:
 class Diagnostics:
     """One status for the node (its counters, what it tells, its level and message) and one for each watched publisher.
 
-    Status names are `/node` and `/node: /topic`. The level is OK until `warn`, then WARN until `ok`. It runs
+    Status names are `/node` and `/node: /topic`. The level is OK until `warn`, then WARN until `ok`; a change is sent
+    at once. It runs
     by the steady clock, so that a node that waits for /clock is heard too.
     """
 
@@ -67,7 +69,7 @@ class Diagnostics:
         self._told: dict[str, str] = {}
         self._publishers: list[WatchedPublisher] = []
         self._warning = ""
-        self._warned_at = float("-inf")
+        self._warned_at = self._sent_at = float("-inf")
         self._output = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._timer = node.create_timer(PERIOD_S, self._publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
@@ -95,13 +97,20 @@ class Diagnostics:
         if text != self._warning or now - self._warned_at > REPEAT_WARNING_S:
             self._node.get_logger().warning(text)
             self._warned_at = now
-        self._warning = text
+        self._set(text)
 
     def ok(self) -> None:
         """Set the level back to OK."""
-        self._warning = ""
+        self._set("")
+
+    def _set(self, warning: str) -> None:
+        changed = warning != self._warning
+        self._warning = warning
+        if changed and time.monotonic() - self._sent_at > SOONEST_S:
+            self._publish()
 
     def _publish(self) -> None:
+        self._sent_at = time.monotonic()
         level = DiagnosticStatus.WARN if self._warning else DiagnosticStatus.OK
         message = DiagnosticArray()
         message.header.stamp = self._node.get_clock().now().to_msg()

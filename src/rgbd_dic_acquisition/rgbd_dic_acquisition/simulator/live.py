@@ -6,7 +6,9 @@ look at the same moment of the same flight.
 
 from __future__ import annotations
 
+import math
 import time
+from collections import Counter
 from collections.abc import Callable
 
 import numpy as np
@@ -24,6 +26,13 @@ def scene_time_s(stamp_ns: int, settings: FlightSettings) -> float:
     half_ns = _images_in(settings) * _period_ns(settings.timing.camera_rate_hz)
     phase_ns = stamp_ns % (2 * half_ns)
     return min(phase_ns, 2 * half_ns - phase_ns) * 1e-9
+
+
+def there_and_back(number: int, count: int) -> int:
+    """Which of `count` images (at least two) is the one of this number."""
+    last = count - 1
+    step = number % (2 * last)
+    return min(step, 2 * last - step)
 
 
 def _images_in(settings: FlightSettings) -> int:
@@ -86,9 +95,12 @@ class SimulatedCamera(_SimulatedSource):
     """
 
     frame_id = CAMERA_FRAME
+    period_s = math.inf  # it is never silent: who waits, waits for the right moment
 
     def __init__(self, settings: FlightSettings, progress: Progress | None = None) -> None:
         super().__init__(settings, settings.timing.camera_rate_hz, 0.0)
+        self.counts: Counter[str] = Counter()
+        self.told: dict[str, str] = {}
         self._progress = progress
         self._images: list[NDArray[np.uint8]] = []
         self.camera = self.flight.calibration.camera
@@ -109,9 +121,7 @@ class SimulatedCamera(_SimulatedSource):
         if due is None:
             return None
         number, stamp_ns = due
-        last = len(self._images) - 1
-        step = number % (2 * last)
-        return ImageFrame(stamp_ns, self._images[min(step, 2 * last - step)])
+        return ImageFrame(stamp_ns, self._images[there_and_back(number, len(self._images))])
 
 
 class SimulatedTof(_SimulatedSource):
