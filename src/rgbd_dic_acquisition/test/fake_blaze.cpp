@@ -39,6 +39,7 @@ const char kDeviceId[] = "FAKE_BLAZE_0";
 enum : size_t {
   kFrameRate = 0x020, kEnable = 0x044, kFormat = 0x050, kScale = 0x078, kInvalid = 0x0A8, kFocal = 0x0B0,
   kCentreU = 0x0B8, kCentreV = 0x0C0, kWidth = 0x0C8, kHeight = 0x0CC, kStart = 0x0D0, kStop = 0x0D4,
+  kLatch = 0x0E0, kLatched = 0x0E8,
   kPresent = 0x800, kFrozen = 0x804, kFail = 0x808, kSkip = 0x80C, kMade = 0x810, kSkew = 0x818, kOffset = 0x820,
   kJitter = 0x828
 };
@@ -261,6 +262,7 @@ GENTL GCWritePort(Handle port, uint64_t address, const void* buffer, size_t* siz
   std::memcpy(camera.memory + address, buffer, *size);
   if (address == kStart) camera.streaming = true;
   if (address == kStop) camera.streaming = false;
+  if (address == kLatch) camera.set(kLatched, camera.now_ns());
   return kOk;
 }
 GENTL GCGetPortInfo(Handle port, int32_t c, int32_t* t, void* b, size_t* s) {

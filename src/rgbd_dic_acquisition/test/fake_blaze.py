@@ -51,7 +51,10 @@ REGISTERS: dict[str, tuple[int, str, Any]] = {
     "AcquisitionStop": (0x0D4, "u4", 0),
     "TLParamsLocked": (0x0D8, "u4", 0),
     "Scan3dDistanceUnit": (0x0DC, "u4", 0),
+    "TimestampLatch": (0x0E0, "u4", 0),
+    "TimestampLatchValue": (0x0E8, "i8", 0),
 }
+LATCH = ("TimestampLatch", "TimestampLatchValue")
 FAULTS: dict[str, tuple[int, str, Any]] = {
     "present": (0x800, "u4", 1),  # 0: unplugged
     "frozen": (0x804, "u4", 0),  # 1: sends nothing
@@ -84,7 +87,7 @@ class FakeBlaze:
         stored, intensity, confidence: (HEIGHT, WIDTH) uint16, what the camera sends; 0 in `stored` is no depth.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, latch: bool = True) -> None:
         self.environment = {"FAKE_BLAZE": str(folder)}
         rng = np.random.default_rng(101)
         self.stored = rng.integers(6554, 26214, (HEIGHT, WIDTH)).astype("<u2")  # 1 m to 4 m
@@ -92,7 +95,7 @@ class FakeBlaze:
         self.intensity, self.confidence = (rng.integers(1, 65536, (HEIGHT, WIDTH)).astype("<u2") for _ in range(2))
         frame = b"".join(each.tobytes() for each in (self.stored, self.intensity, self.confidence))
         (folder / "frame.bin").write_bytes(frame)
-        (folder / "device.xml").write_text(description())
+        (folder / "device.xml").write_text(description(latch))
         (folder / "memory.bin").write_bytes(bytes(4096))
         self._memory = np.memmap(folder / "memory.bin", np.uint8, "r+")
         for name, (_, _, value) in {**REGISTERS, **FAULTS}.items():
@@ -112,8 +115,9 @@ class FakeBlaze:
         return self._memory[address : address + count * dtype.itemsize].view(dtype)
 
 
-def description() -> str:
-    """The camera's features in the language of GenApi."""
+def description(latch: bool = True) -> str:
+    """The camera's features in the language of GenApi; whether its clock can be latched."""
+    commands, latched = (LATCH[:1], LATCH[1:]) if latch else ((), ())
     indexed = {"ComponentEnable": "ComponentSelector", "PixelFormat": "ComponentSelector"}
     indexed |= {f"Scan3d{name}": "Scan3dCoordinateSelector" for name in _PER_AXIS}
     nodes = [_register(name, indexed.get(name)) for name in REGISTERS]
@@ -147,10 +151,10 @@ def description() -> str:
             f"(F={FORMATS['Coord3D_ABC32f']}) ? 1 : S",
         ),
         *(f"<Float Name='{name}'><pValue>{name}Reg</pValue></Float>" for name in _FLOATS),
-        *(f"<Integer Name='{name}'><pValue>{name}Reg</pValue></Integer>" for name in _INTEGERS),
+        *(f"<Integer Name='{name}'><pValue>{name}Reg</pValue></Integer>" for name in (*_INTEGERS, *latched)),
         *(
             f"<Command Name='{name}'><pValue>{name}Reg</pValue><CommandValue>1</CommandValue></Command>"
-            for name in ("AcquisitionStart", "AcquisitionStop")
+            for name in ("AcquisitionStart", "AcquisitionStop", *commands)
         ),
         "<Port Name='Device' NameSpace='Standard'/>",
     ]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import os
+import signal
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,7 +16,8 @@ from harvesters.core import Callback, Harvester, ImageAcquirer, ParameterKey, Pa
 from ..errors import DeviceError
 from .tof_components import COMPONENT_IDS, PIXEL_FORMATS, Component
 from .tof_device import Grab, choose
-from .tof_features import Features, TofSettings
+from .tof_features import Features
+from .tof_settings import TofSettings
 
 ERRORS = (gentl.GenericException, genapi.GenericException)
 PATHS = "GENICAM_GENTL64_PATH"
@@ -51,10 +54,14 @@ class GentlTof:
         config = ParameterSet(
             {ParameterKey.ENABLE_AUTO_CHUNK_DATA_UPDATE: False, ParameterKey.NUM_BUFFERS_FOR_FETCH_CALL: BUFFERS}
         )
+        on_interrupt = signal.getsignal(signal.SIGINT)
         self._acquirer = self._harvester.create(index, config=config)
+        if threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGINT, on_interrupt)  # harvesters takes it for itself
         self._acquirer.add_callback(ImageAcquirer.Events.INCOMPLETE_BUFFER, self._failed)
         nodes = self._acquirer.remote_device.node_map
-        self.features = Features(nodes.get_node, ERRORS, genapi.AccessException, str.lower)
+        refusals = (genapi.OutOfRangeException, genapi.InvalidArgumentException)
+        self.features = Features(nodes.get_node, ERRORS, refusals, genapi.AccessException, str.lower)
 
     def start(self) -> None:
         try:

@@ -11,7 +11,8 @@ from pypylon import genicam, pylon
 from ..errors import DeviceError
 from .tof_components import CONFIDENCE, INTENSITY, RANGE, Component
 from .tof_device import Grab, choose
-from .tof_features import Features, TofSettings
+from .tof_features import Features
+from .tof_settings import TofSettings
 
 BUFFERS = 8
 KINDS = {
@@ -38,7 +39,8 @@ class PylonTof:
             self.close()
             raise DeviceError(f"the device cannot be opened through pylon: {_first_line(error)}") from error
         find = self._camera.GetNodeMap().GetNode
-        self.features = Features(find, (genicam.GenericException,), genicam.AccessException, str.capitalize)
+        errors, refusals = (genicam.GenericException,), (genicam.OutOfRangeException, genicam.InvalidArgumentException)
+        self.features = Features(find, errors, refusals, genicam.AccessException, str.capitalize)
 
     def start(self) -> None:
         try:

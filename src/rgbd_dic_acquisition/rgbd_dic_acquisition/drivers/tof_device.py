@@ -9,7 +9,8 @@ from typing import Protocol
 
 from ..errors import DeviceError
 from .tof_components import Component
-from .tof_features import Features, TofSettings
+from .tof_features import Features
+from .tof_settings import TofSettings
 
 # Source -> its module and class here, and the packages that they need.
 LIBRARIES = {

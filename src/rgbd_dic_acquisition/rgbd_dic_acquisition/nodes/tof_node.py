@@ -11,11 +11,12 @@ from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 from ..calibration import Calibration, Camera, load_calibration, points_from_depth
-from ..drivers.live_tof import LiveTof
+from ..drivers.tof_camera import TofCamera
 from ..drivers.tof_device import LIBRARIES
-from ..drivers.tof_features import TofSettings
+from ..drivers.tof_settings import TofSettings
 from ..errors import CalibrationError, RgbdDicError
 from ..messages import TF, camera_info_message, depth_message, image_message, points_message, transform_message
+from ..revival import Revival
 from ..settings import setting
 from ..simulator.flight import FlightSettings
 from ..simulator.live import SimulatedTof
@@ -26,6 +27,7 @@ from .ros_messages import QosSettings, image_qos, latched_qos, make, message_cla
 from .spinning import run
 
 READ_S = 0.02
+SAY_LOSS_S = 2.0
 
 
 @dataclass(frozen=True)
@@ -59,11 +61,11 @@ class TofNode(Node):
             self._source = SimulatedTof(flight)
             calibration = calibration or self._source.flight.calibration
         else:
-            self._source = LiveTof(self._settings.source, device)
-        if calibration is not None and calibration.tof is None and self._settings.source == "simulated":
-            raise CalibrationError(f"{path} has no entry 'tof': the depth frames would be uncalibrated")
+            self._source = TofCamera(self._settings.source, device)
         self._calibrated = calibration.tof if calibration is not None else None
+        self._revival = Revival(self._source)
         self._counted: Counter[str] = Counter()
+        self._loss = (float("-inf"), "")
         self._diagnostics = Diagnostics(self)
         self._depth = self._publisher(Image, "tof/depth/image_raw")
         self._info = self._publisher(CameraInfo, "tof/depth/camera_info")
@@ -75,17 +77,20 @@ class TofNode(Node):
 
     def work(self) -> Iterator[float]:
         """Publish frame after frame."""
-        self._source.open()
-        self.get_logger().info(f"{self._settings.source} ToF sensor: {self._calibrated or 'intrinsics of the device'}")
+        self._revival.open()
+        ran = False
         while True:
-            frame = self._source.read(READ_S)
+            frame = self._revival.read(READ_S)
+            if self._revival.runs and not ran:
+                self._say_what_runs()
+            ran = self._revival.runs
             if frame is not None:
                 self._publish(frame)
             self._report()
             yield 0.0
 
     def close(self) -> None:
-        self._source.close()
+        self._revival.close()
 
     def _publish(self, frame: DepthFrame) -> None:
         about = (frame.stamp_ns, self._settings.frame_id)
@@ -101,39 +106,42 @@ class TofNode(Node):
                 publisher.publish(image_message(make, *about, array, "mono16"))
 
     def _camera(self, frame: DepthFrame) -> Camera:
-        """The intrinsics that go with a frame: those of calibration.yaml, else the device's own."""
+        """The intrinsics that go with a frame: those of calibration.yaml, else the source's own."""
         camera = self._calibrated or self._source.camera
-        rows, cols = frame.depth_m.shape
         if camera is None:
-            raise CalibrationError("the device tells no intrinsics: give a calibration.yaml with an entry 'tof'")
-        if (camera.width, camera.height) != (cols, rows):
+            raise CalibrationError("the ToF camera tells no intrinsics: give a calibration.yaml with an entry 'tof'")
+        if (camera.height, camera.width) != frame.depth_m.shape:
             raise CalibrationError(
-                f"the depth has {cols} x {rows} pixels, its intrinsics are of {camera.width} x {camera.height}: "
-                "give the calibration.yaml of this device"
+                f"depth of {frame.depth_m.shape[1]} x {frame.depth_m.shape[0]} pixels has intrinsics of "
+                f"{camera.width} x {camera.height}: give the calibration.yaml of this ToF camera"
             )
         return camera
 
     def _report(self) -> None:
-        if not isinstance(self._source, LiveTof):
-            return
-        for name, count in (self._source.counts - self._counted).items():
-            self._diagnostics.count(name, count)
-            if name == "opened":
-                self._say_opened(self._source)
+        new = self._source.counts - self._counted
         self._counted = Counter(self._source.counts)
+        for name, count in new.items():
+            self._diagnostics.count(name, count)
+        now = time.monotonic()
+        if new["failed"]:
+            self._loss = (now, f"buffers of the ToF camera fail: {self._source.failure}")
+        elif new["lost"]:
+            self._loss = (now, "frames of the ToF camera are lost on the way: see docs/payload.md, ToF camera")
         for name, value in self._source.told.items():
             self._diagnostics.tell(name, value)
-        if self._source.problem:
-            self._diagnostics.warn(self._source.problem)
+        self._diagnostics.tell("reopened", str(self._revival.reopened))
+        problem = self._revival.problem or (self._loss[1] if now - self._loss[0] < SAY_LOSS_S else "")
+        if problem:
+            self._diagnostics.warn(problem)
         else:
             self._diagnostics.ok()
 
-    def _say_opened(self, source: LiveTof) -> None:
-        self.get_logger().info(f"{source.told['device']} is open: {source.camera or 'no intrinsics'}")
-        for warning in source.warnings:
-            self.get_logger().warning(warning)
-        if self._calibrated and source.camera and not self._calibrated.agrees_with(source.camera):
-            self.get_logger().warning(f"calibration.yaml is used, {self._calibrated}; the device says {source.camera}")
+    def _say_what_runs(self) -> None:
+        told = ", ".join(f"{name}: {value}" for name, value in self._source.told.items())
+        own = self._source.camera
+        self.get_logger().info(f"{self._settings.source} ToF camera runs: {self._calibrated or own}; {told}")
+        if self._calibrated and own and not self._calibrated.agrees_with(own):
+            self.get_logger().warning(f"calibration.yaml is used, {self._calibrated}; the ToF camera says {own}")
 
     def _publisher(self, kind: type, topic: str) -> WatchedPublisher:
         return self._diagnostics.watch(self.create_publisher(kind, topic, image_qos(self._settings)))
