@@ -76,7 +76,7 @@ def test_the_virtual_producer_gives_range_and_intensity(gendc):
     with TofCamera("gentl", settings) as source:
         frames = _next(source, 8)
     assert source.told["device"] == "Viky 1" and source.told["clock"] == "none: stamps are the arrival"
-    assert source.counts == {"frames": 8, "lost": 0}
+    assert source.counts == {"frames": 8, "failed": 0, "lost": 0}
     assert "has no component Confidence" in source.told["not done"]
     assert "its range comes as Coord3D_ABC32f_Planar" in source.told["not done"]
     rows, cols = np.mgrid[0:400, 0:400]

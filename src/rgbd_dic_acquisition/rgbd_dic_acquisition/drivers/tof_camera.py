@@ -6,6 +6,7 @@ import math
 import time
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 
 from ..calibration import Camera
 from ..clock import HostClock
@@ -45,7 +46,7 @@ class TofCamera:
             DeviceError: the library is not installed.
         """
         self.camera: Camera | None = None
-        self.counts: Counter[str] = Counter()
+        self.counts: Counter[str] = Counter(frames=0, failed=0, lost=0)
         self.failure = ""
         self.told: dict[str, str] = {}
         self.period_s = math.inf
@@ -130,7 +131,7 @@ class TofCamera:
             return self._fail(str(error))
         self._last_stamp_ns = stamp_ns
         self.counts["frames"] += 1
-        return frame
+        return replace(frame, device_ns=grab.device_ns)
 
     def _fail(self, reason: str) -> None:
         self.failure = reason

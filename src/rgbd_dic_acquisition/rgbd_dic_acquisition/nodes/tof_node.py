@@ -8,14 +8,23 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from rclpy.node import Node
-from sensor_msgs.msg import CameraInfo, Image, PointCloud2
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2, TimeReference
 
 from ..calibration import Calibration, Camera, load_calibration, points_from_depth
 from ..drivers.tof_camera import TofCamera
 from ..drivers.tof_device import LIBRARIES
 from ..drivers.tof_settings import TofSettings
 from ..errors import CalibrationError, RgbdDicError
-from ..messages import TF, camera_info_message, depth_message, image_message, points_message, transform_message
+from ..messages import (
+    TF,
+    camera_info_message,
+    depth_message,
+    header_message,
+    image_message,
+    points_message,
+    stamp_message,
+    transform_message,
+)
 from ..revival import Revival
 from ..settings import setting
 from ..simulator.flight import FlightSettings
@@ -24,10 +33,11 @@ from ..sources import DepthFrame
 from .diagnostics import Diagnostics, WatchedPublisher
 from .parameters import declare, declare_path
 from .ros_messages import QosSettings, image_qos, latched_qos, make, message_class
+from .sensor_health import SensorHealth
 from .spinning import run
 
 READ_S = 0.02
-SAY_LOSS_S = 2.0
+TIME_REFERENCE = "sensor_msgs/msg/TimeReference"
 
 
 @dataclass(frozen=True)
@@ -47,7 +57,8 @@ class TofNodeSettings(QosSettings):
 class TofNode(Node):
     """Publishes `tof/depth/image_raw` (16UC1, mm, 0 invalid), its camera_info, intensity and confidence.
 
-    Optionally `tof/points`, one point a pixel [m], NaN where there is none.
+    Optionally `tof/points`, one point a pixel [m], NaN where there is none. If the sensor has a clock of its own,
+    also `tof/time_reference`: host time of the stamp, and the sensor's.
     """
 
     def __init__(self) -> None:
@@ -64,14 +75,14 @@ class TofNode(Node):
             self._source = TofCamera(self._settings.source, device)
         self._calibrated = calibration.tof if calibration is not None else None
         self._revival = Revival(self._source)
-        self._counted: Counter[str] = Counter()
-        self._loss = (float("-inf"), "")
         self._diagnostics = Diagnostics(self)
+        self._health = SensorHealth(self._diagnostics, self._revival, self._source, self._loss)
         self._depth = self._publisher(Image, "tof/depth/image_raw")
         self._info = self._publisher(CameraInfo, "tof/depth/camera_info")
         self._intensity = self._publisher(Image, "tof/intensity/image_raw")
         self._confidence = self._publisher(Image, "tof/confidence/image_raw")
         self._points = self._publisher(PointCloud2, "tof/points") if self._settings.publish_points else None
+        self._time = self._publisher(TimeReference, "tof/time_reference")
         if calibration is not None:
             self._publish_transform(calibration)
 
@@ -86,7 +97,7 @@ class TofNode(Node):
             ran = self._revival.runs
             if frame is not None:
                 self._publish(frame)
-            self._report()
+            self._health.report()
             yield 0.0
 
     def close(self) -> None:
@@ -104,6 +115,9 @@ class TofNode(Node):
         for publisher, array in ((self._intensity, frame.intensity), (self._confidence, frame.confidence)):
             if array is not None:
                 publisher.publish(image_message(make, *about, array, "mono16"))
+        if frame.device_ns is not None:
+            header, device = header_message(make, frame.stamp_ns, ""), stamp_message(make, frame.device_ns)
+            self._time.publish(make(TIME_REFERENCE, header=header, time_ref=device, source="tof"))
 
     def _camera(self, frame: DepthFrame) -> Camera:
         """The intrinsics that go with a frame: those of calibration.yaml, else the source's own."""
@@ -117,24 +131,10 @@ class TofNode(Node):
             )
         return camera
 
-    def _report(self) -> None:
-        new = self._source.counts - self._counted
-        self._counted = Counter(self._source.counts)
-        for name, count in new.items():
-            self._diagnostics.count(name, count)
-        now = time.monotonic()
+    def _loss(self, new: Counter[str]) -> str:
         if new["failed"]:
-            self._loss = (now, f"buffers of the ToF camera fail: {self._source.failure}")
-        elif new["lost"]:
-            self._loss = (now, "frames of the ToF camera are lost on the way: see docs/payload.md, ToF camera")
-        for name, value in self._source.told.items():
-            self._diagnostics.tell(name, value)
-        self._diagnostics.tell("reopened", str(self._revival.reopened))
-        problem = self._revival.problem or (self._loss[1] if now - self._loss[0] < SAY_LOSS_S else "")
-        if problem:
-            self._diagnostics.warn(problem)
-        else:
-            self._diagnostics.ok()
+            return f"buffers of the ToF camera fail: {self._source.failure}"
+        return "frames of the ToF camera are lost on the way: see docs/payload.md, ToF camera" if new["lost"] else ""
 
     def _say_what_runs(self) -> None:
         told = ", ".join(f"{name}: {value}" for name, value in self._source.told.items())
