@@ -84,15 +84,15 @@ class FakeBlaze:
     """The folder of one camera; its producer finds it by the environment variable FAKE_BLAZE.
 
     Attributes:
-        stored, intensity, confidence: (HEIGHT, WIDTH) uint16, what the camera sends; 0 in `stored` is no depth.
+        stored, intensity, confidence: (rows, cols) uint16, what the camera sends; 0 in `stored` is no depth.
     """
 
-    def __init__(self, folder: Path, latch: bool = True) -> None:
+    def __init__(self, folder: Path, latch: bool = True, size: tuple[int, int] = (WIDTH, HEIGHT)) -> None:
         self.environment = {"FAKE_BLAZE": str(folder)}
-        rng = np.random.default_rng(101)
-        self.stored = rng.integers(6554, 26214, (HEIGHT, WIDTH)).astype("<u2")  # 1 m to 4 m
-        self.stored[rng.random((HEIGHT, WIDTH)) < 0.1] = 0
-        self.intensity, self.confidence = (rng.integers(1, 65536, (HEIGHT, WIDTH)).astype("<u2") for _ in range(2))
+        rng, shape = np.random.default_rng(101), size[::-1]
+        self.stored = rng.integers(6554, 26214, shape).astype("<u2")  # 1 m to 4 m
+        self.stored[rng.random(shape) < 0.1] = 0
+        self.intensity, self.confidence = (rng.integers(1, 65536, shape).astype("<u2") for _ in range(2))
         frame = b"".join(each.tobytes() for each in (self.stored, self.intensity, self.confidence))
         (folder / "frame.bin").write_bytes(frame)
         (folder / "device.xml").write_text(description(latch))
@@ -100,6 +100,7 @@ class FakeBlaze:
         self._memory = np.memmap(folder / "memory.bin", np.uint8, "r+")
         for name, (_, _, value) in {**REGISTERS, **FAULTS}.items():
             self[name] = value
+        self["Width"], self["Height"] = size
 
     def __getitem__(self, name: str) -> Any:
         values = self._view(name)
