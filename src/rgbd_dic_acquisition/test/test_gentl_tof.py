@@ -20,7 +20,7 @@ from rgbd_dic_acquisition.errors import DeviceError, SettingsError
 from rgbd_dic_acquisition.revival import Revival
 from rgbd_dic_acquisition.sources import DepthFrame
 
-INSTALL = "pip install --no-deps -r requirements-tof.in"
+INSTALL = "make setup-tof"
 genicam = pytest.importorskip("genicam", reason=f"genicam is missing: {INSTALL}")
 pytest.importorskip("harvesters", reason=f"harvesters is missing: {INSTALL}")
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="no C++ compiler: apt-get install g++")
@@ -198,7 +198,7 @@ def test_limits_that_leave_nothing_are_refused():
 
 def test_a_library_that_is_missing_is_told_with_the_remedy(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "rgbd_dic_acquisition.drivers.gentl_tof", None)
-    with pytest.raises(DeviceError, match=r"needs the Python packages harvesters and genicam .*requirements-tof.in"):
+    with pytest.raises(DeviceError, match=r"needs the Python packages harvesters and genicam, .*: make setup-tof$"):
         device_class("gentl")
 
 

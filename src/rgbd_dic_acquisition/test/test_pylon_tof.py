@@ -15,7 +15,7 @@ from rgbd_dic_acquisition.drivers.tof_components import CONFIDENCE, INTENSITY, R
 from rgbd_dic_acquisition.drivers.tof_settings import TofSettings
 from rgbd_dic_acquisition.errors import DeviceError
 
-INSTALL = "pypylon is missing: pip install --no-deps -r requirements-tof.in"
+INSTALL = "pypylon is missing: make setup-tof"
 pylon = pytest.importorskip("pypylon.pylon", reason=INSTALL)
 from rgbd_dic_acquisition.drivers.pylon_tof import PylonTof, components  # noqa: E402 - only where pylon is
 

@@ -144,3 +144,24 @@ GOOD = _component(RANGE, "Coord3D_C16", np.ones((2, 3), "<u2"))
 def test_what_does_not_fit_is_refused(components, said):
     with pytest.raises(ImageError, match=said):
         depth_frame(0, components, C16)
+
+
+def test_whatever_a_device_claims_is_decoded_or_refused(rng):
+    """Sizes, formats and amounts of data that do not belong together: an ImageError, or a frame of that size."""
+    codes = [*CODES.values(), 0, 0xFFFFFFFF]
+    frames = 0
+    for _ in range(3000):
+        components = []
+        for kind in rng.permutation([RANGE, INTENSITY, CONFIDENCE, "other"])[: rng.integers(5)]:
+            width, height = (int(rng.choice([0, 1, 2, 3, 2**31, 2**63])) for _ in range(2))
+            padding, size = int(rng.choice([-2, 0, 1, 7, 2**40])), int(rng.integers(80))
+            code = int(rng.choice(codes))
+            components.append(Component(str(kind), code, width, height, rng.bytes(size), padding))
+        try:
+            frame = depth_frame(0, components, C16, limits_m=(0.3, 5.0))
+        except ImageError:
+            continue
+        frames += 1
+        measured = frame.depth_m[np.isfinite(frame.depth_m)]
+        assert frame.depth_m.size <= 9 and np.all((measured >= 0.3) & (measured <= 5.0))
+    assert frames > 10

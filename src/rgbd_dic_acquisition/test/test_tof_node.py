@@ -18,7 +18,7 @@ from rgbd_dic_acquisition.messages import image_from_message, points_from_messag
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from test_nodes import Processes, _finish, _stop, _wait_for
 
-INSTALL = "is missing: pip install --no-deps -r requirements-tof.in"
+INSTALL = "is missing: make setup-tof"
 TOPICS = {
     "tof/depth/image_raw": Image,
     "tof/depth/camera_info": CameraInfo,

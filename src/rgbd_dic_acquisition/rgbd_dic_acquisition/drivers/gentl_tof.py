@@ -21,7 +21,7 @@ from .tof_settings import TofSettings
 
 ERRORS = (gentl.GenericException, genapi.GenericException)
 PATHS = "GENICAM_GENTL64_PATH"
-BUFFERS = 8
+BUFFERS = 16
 CLOSING_TURNS = 5
 # What reading a buffer raises beside ERRORS, such as the width of a part that is no image.
 UNREADABLE = (RuntimeError,)

@@ -14,7 +14,7 @@ from .tof_device import Grab, choose
 from .tof_features import Features
 from .tof_settings import TofSettings
 
-BUFFERS = 8
+BUFFERS = 16
 KINDS = {
     pylon.ComponentType_Intensity: INTENSITY,
     pylon.ComponentType_Range: RANGE,

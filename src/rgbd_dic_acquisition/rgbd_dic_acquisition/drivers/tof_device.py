@@ -76,8 +76,7 @@ def device_class(library: str) -> Callable[[TofSettings], TofDevice]:
         return getattr(importlib.import_module(module, __package__), name)
     except ImportError as error:
         raise DeviceError(
-            f"source '{library}' needs the Python packages {packages} ({error}): "
-            "pip install --no-deps -r requirements-tof.in"
+            f"source '{library}' needs the Python packages {packages}, which are not there ({error}): make setup-tof"
         ) from error
 
 

@@ -15,7 +15,11 @@ RANGE_FORMATS = ("Coord3D_C16", "Coord3D_ABC32f")
 class TofSettings(Settings):
     """The ToF camera and how it measures."""
 
-    device: str = setting("", doc="serial number, user-defined name or IP address; empty takes the only one there is")
+    device: str = setting(
+        "",
+        doc="serial number, user-defined name, or address (gentl: the producer's device ID; pylon: the IP address); "
+        "empty takes the only one there is",
+    )
     producer: str = setting(
         "", doc="gentl: path of the GenTL producer (.cti); empty takes those in the folders of GENICAM_GENTL64_PATH"
     )
