@@ -47,7 +47,7 @@ class Run:
             command, env={**os.environ, **environment, **quiet}, stdout=self._log, stderr=subprocess.STDOUT
         )
         self.stamps: list[int] = []
-        self.warning = ""
+        self.warning, self.counters = "", {}
         self._context = rclpy.Context()
         rclpy.init(context=self._context, domain_id=int(DOMAIN))
         self._node = rclpy.create_node("measure", context=self._context)

@@ -273,6 +273,20 @@ def test_a_camera_that_is_unplugged_comes_back(blaze):
 
 
 @needs_compiler
+def test_a_camera_that_vanishes_while_it_is_set_up_is_not_taken_for_one_that_lacks_features(blaze):
+    def connect(settings: TofSettings):
+        device = device_class("gentl")(settings)
+        blaze["present"] = 0
+        return device
+
+    with pytest.raises(DeviceError, match="does not answer when asked for TriggerMode"):
+        TofCamera("gentl", _settings(), connect).open()
+    blaze["present"] = 1
+    with TofCamera("gentl", _settings()) as source:
+        _next(source)
+
+
+@needs_compiler
 def test_a_camera_that_only_fails_is_opened_again(blaze):
     with _revived(_settings()) as (_, revival):
         _next(revival)

@@ -6,6 +6,7 @@ import dataclasses
 import struct
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -40,11 +41,16 @@ def depth(tmp_path) -> tuple[Path, np.ndarray]:
 
 
 class EmulatedTof:
-    """pylon's emulated camera showing a depth image: its only component, an intensity, is taken for the range."""
+    """pylon's emulated camera showing a depth image in millimetres.
+
+    Its only component, an intensity, is taken for a range, and it is given the scale that it does not tell.
+    """
 
     def __init__(self, settings: TofSettings, images: Path) -> None:
         self._device = PylonTof(settings)
-        self.name, self.features = self._device.name, self._device.features
+        self.name, own = self._device.name, self._device.features
+        added = {"Scan3dCoordinateScale": SimpleNamespace(Value=1.0)}
+        self.features = dataclasses.replace(own, find=lambda name: added.get(name) or own.find(name))
         shown = {"Width": COLS, "Height": ROWS, "PixelFormat": "Mono16", "TestImageSelector": "Off"}
         for name, value in {**shown, "ImageFilename": str(images), "ImageFileMode": "On"}.items():
             assert self.features.set(name, value)
@@ -65,7 +71,7 @@ class EmulatedTof:
 
     def fail(self, buffers: int) -> None:
         self.features.set("ForceFailedBufferCount", buffers)
-        self.features.find("ForceFailedBuffer").Execute()
+        self.features.execute("ForceFailedBuffer")
 
 
 def test_forced_failures_are_counted_and_the_frames_go_on(depth):

@@ -123,6 +123,11 @@ def test_what_is_neither_of_the_three_is_passed_over():
     assert np.isfinite(frame.depth_m).all()
 
 
+def test_without_a_scale_there_is_no_depth():
+    with pytest.raises(ImageError, match="does not tell the scale of its coordinates, Scan3dCoordinateScale"):
+        depth_frame(0, [GOOD], None)
+
+
 GOOD = _component(RANGE, "Coord3D_C16", np.ones((2, 3), "<u2"))
 
 

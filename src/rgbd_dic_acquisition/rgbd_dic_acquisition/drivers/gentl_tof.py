@@ -60,8 +60,7 @@ class GentlTof:
             signal.signal(signal.SIGINT, on_interrupt)  # harvesters takes it for itself
         self._acquirer.add_callback(ImageAcquirer.Events.INCOMPLETE_BUFFER, self._failed)
         nodes = self._acquirer.remote_device.node_map
-        refusals = (genapi.OutOfRangeException, genapi.InvalidArgumentException)
-        self.features = Features(nodes.get_node, ERRORS, refusals, genapi.AccessException, str.lower)
+        self.features = Features(nodes.get_node, genapi, ERRORS, str.lower)
 
     def start(self) -> None:
         try:
@@ -73,7 +72,7 @@ class GentlTof:
         timeout_s = max(timeout_s, 1e-3)  # harvesters waits for ever for 0
         self._failed.reset()
         try:
-            self._acquirer._timeout_on_internal_fetch_call = round(1e3 * timeout_s)
+            self._wait_at_once(round(1e3 * timeout_s))
             buffer = self._acquirer.try_fetch(timeout=timeout_s, is_raw=True)
             if buffer is None:
                 return Grab(failure=self._failed.reason) if self._failed.reason else None
@@ -86,6 +85,11 @@ class GentlTof:
                 buffer.parent.queue_buffer(buffer)
         except ERRORS as error:
             raise DeviceError(f"{self.name} does not deliver any more: {error}") from error
+
+    def _wait_at_once(self, timeout_ms: int) -> None:
+        """Have harvesters wait in one call, not in a thousand a second."""
+        if self._acquirer.timeout_period_on_update_event_data_call != timeout_ms:
+            self._acquirer.timeout_period_on_update_event_data_call = timeout_ms
 
     def close(self) -> None:
         if self._acquirer is not None:

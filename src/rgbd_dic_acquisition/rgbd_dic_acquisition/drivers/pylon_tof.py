@@ -38,9 +38,8 @@ class PylonTof:
         except genicam.GenericException as error:
             self.close()
             raise DeviceError(f"the device cannot be opened through pylon: {_first_line(error)}") from error
-        find = self._camera.GetNodeMap().GetNode
-        errors, refusals = (genicam.GenericException,), (genicam.OutOfRangeException, genicam.InvalidArgumentException)
-        self.features = Features(find, errors, refusals, genicam.AccessException, str.capitalize)
+        nodes = self._camera.GetNodeMap()
+        self.features = Features(nodes.GetNode, genicam, (genicam.GenericException,), str.capitalize)
 
     def start(self) -> None:
         try:

@@ -66,7 +66,7 @@ class TofCamera:
         device = self._connect(self._settings)
         try:
             lacking = set_up(device.features, self._settings)
-            self._coordinates: Coordinates = coordinates(device.features)
+            self._coordinates: Coordinates | None = coordinates(device.features)
             self.camera = intrinsics(device.features)
             rate_hz = self._settings.frame_rate_hz or device.features.get("AcquisitionFrameRate")
             self.period_s = 1 / float(rate_hz) if rate_hz else 1.0

@@ -94,7 +94,7 @@ class Coordinates:
 def depth_frame(
     stamp_ns: int,
     components: Sequence[Component],
-    coordinates: Coordinates,
+    coordinates: Coordinates | None,
     limits_m: tuple[float, float] = (0.0, np.inf),
 ) -> DepthFrame:
     """The frame that these components make.
@@ -103,12 +103,15 @@ def depth_frame(
     points; the confidence is 0 there. Intensity and confidence keep the device's numbers.
 
     Raises:
-        ImageError: no range, a pixel format that is not in PIXEL_FORMATS, sizes that do not fit.
+        ImageError: no range, a pixel format that is not in PIXEL_FORMATS, sizes that do not fit, or no
+            `coordinates`: the device does not tell how its numbers become lengths.
     """
     axes = _range_axes(components)
     if 2 not in axes:
         kinds = ", ".join(component.kind for component in components) or "none"
         raise ImageError(f"the frame has no component 'Range' with depth, only {kinds}: enable it on the device")
+    if coordinates is None:
+        raise ImageError("the device does not tell the scale of its coordinates, Scan3dCoordinateScale: no depth")
     if any(stored.shape != axes[2].shape for stored in axes.values()):
         raise ImageError(f"the planes of the range differ in size: {[stored.shape for stored in axes.values()]}")
     metres = {axis: _metres(stored, coordinates, axis) for axis, stored in axes.items()}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -12,24 +11,22 @@ from ..errors import DeviceError, SettingsError
 
 @dataclass(frozen=True)
 class Features:
-    """The features of an open device.
+    """The features of an open device. Every method raises DeviceError if the device does not answer.
 
     Attributes:
-        find: the node of a name; None or an error if there is none.
-        errors: what the library raises ...
-        refusals: ... for a value that a feature cannot have ...
-        denied: ... and for a feature that cannot be written now.
+        find: the node of a name, or one of the errors.
+        genapi: the library's module of GenApi, for its kinds of errors.
+        errors: everything that the library raises.
         attribute: how the library spells the attributes of a node: "value" -> "value" or "Value".
     """
 
     find: Callable[[str], Any]
+    genapi: Any
     errors: tuple[type[Exception], ...]
-    refusals: tuple[type[Exception], ...]
-    denied: type[Exception]
     attribute: Callable[[str], str]
 
     def get(self, name: str) -> Any:
-        """The value, or None if the device has no such feature or does not tell."""
+        """The value, or None if the device has no such feature, or not now."""
         return self._read(name, "value")
 
     def set(self, name: str, value: Any) -> bool:
@@ -37,7 +34,6 @@ class Features:
 
         Raises:
             SettingsError: it has, but refuses the value.
-            DeviceError: it does not answer.
         """
         present = self.get(name)
         if present is None:
@@ -45,23 +41,31 @@ class Features:
         try:
             setattr(self.find(name), self.attribute("value"), value)
         except self.errors as error:
-            if present == value and isinstance(error, self.denied):
-                return True
-            told = str(error).strip().splitlines()
-            kind = SettingsError if isinstance(error, self.refusals) else DeviceError
-            raise kind(
-                f"the device refuses {name} = {value}{self._allowed(name)}: {told[0] if told else error!r}"
-            ) from error
+            if present == value and isinstance(error, self.genapi.AccessException):
+                return True  # it is fixed at that
+            refused = isinstance(error, (self.genapi.OutOfRangeException, self.genapi.InvalidArgumentException))
+            kind = SettingsError if refused else DeviceError
+            raise kind(f"the device refuses {name} = {value}{self._allowed(name)}: {_first_line(error)}") from error
         return True
 
     def execute(self, name: str) -> None:
-        """Give a command; not answered if the device lacks it."""
-        with contextlib.suppress(*self.errors, AttributeError):
-            getattr(self.find(name), self.attribute("execute"))()
+        """Give a command, if the device has it."""
+        command = self._read(name, "execute")
+        try:
+            if command is not None:
+                command()
+        except self._absent:
+            return
+        except self.errors as error:
+            raise DeviceError(f"the device does not do {name}: {_first_line(error)}") from error
 
     def choices(self, name: str) -> tuple[str, ...]:
         """What an enumeration can be set to now."""
         return tuple(self._read(name, "symbolics") or ())
+
+    @property
+    def _absent(self) -> tuple[type[Exception], ...]:
+        return self.genapi.LogicalErrorException, self.genapi.AccessException
 
     def _allowed(self, name: str) -> str:
         if choices := self.choices(name):
@@ -72,5 +76,11 @@ class Features:
     def _read(self, name: str, attribute: str) -> Any:
         try:
             return getattr(self.find(name), self.attribute(attribute), None)
-        except self.errors:
+        except self._absent:
             return None
+        except self.errors as error:
+            raise DeviceError(f"the device does not answer when asked for {name}: {_first_line(error)}") from error
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).strip() or repr(error)).splitlines()[0]

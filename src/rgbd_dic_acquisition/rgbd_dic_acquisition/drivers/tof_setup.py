@@ -51,8 +51,8 @@ def set_up(features: Features, settings: TofSettings) -> list[str]:
     return warnings + _set_components(features, settings)
 
 
-def coordinates(features: Features) -> Coordinates:
-    """What the stored coordinates of the range mean, as the device tells it.
+def coordinates(features: Features) -> Coordinates | None:
+    """What the stored coordinates of the range mean, as the device tells it; None if it tells no scale.
 
     Raises:
         DeviceError: it measures in a unit that is no length.
@@ -67,10 +67,13 @@ def coordinates(features: Features) -> Coordinates:
     scale, offset, invalid = [], [], 0.0
     for axis in AXES:
         features.set("Scan3dCoordinateSelector", axis)
-        scale.append(_number(features, "Scan3dCoordinateScale", 1.0))
-        offset.append(_number(features, "Scan3dCoordinateOffset", 0.0))
-        invalid = _number(features, "Scan3dInvalidDataValue", 0.0)
+        scale.append(features.get("Scan3dCoordinateScale"))
+        offset.append(features.get("Scan3dCoordinateOffset") or 0.0)
+        invalid = features.get("Scan3dInvalidDataValue") or 0.0
+    if scale[-1] is None:
+        return None
     flagged = features.get("Scan3dInvalidDataFlag") is not False
+    scale = [scale[-1] if each is None else each for each in scale]
     return Coordinates(UNITS_M[unit], tuple(scale), tuple(offset), invalid if flagged else None)
 
 
@@ -84,7 +87,7 @@ def intrinsics(features: Features) -> Camera | None:
     size = features.get("Width"), features.get("Height")
     if not focal or None in (*centre, *size):
         return None
-    aspect = _number(features, "Scan3dAspectRatio", 1.0)
+    aspect = features.get("Scan3dAspectRatio") or 1.0
     return Camera(*map(int, size), float(focal), float(focal) * aspect, float(centre[0]), float(centre[1]))
 
 
@@ -140,8 +143,3 @@ def _set_components(features: Features, settings: TofSettings) -> list[str]:
     if missing:
         warnings.append(f"the device has no component {', '.join(missing)}")
     return warnings
-
-
-def _number(features: Features, name: str, default: float) -> float:
-    value = features.get(name)
-    return default if value is None else float(value)
