@@ -145,6 +145,16 @@ def test_points_and_depth_of_a_blaze_agree(blaze):
     )
     through_pinhole = points_from_depth(source.camera, frame.depth_m).reshape(frame.points_m.shape)
     np.testing.assert_allclose(frame.points_m, through_pinhole, atol=1e-6)  # float32 at 4 m
+    off = [float(number) for number in source.told["points off the intrinsics [px]"].split(",")]
+    assert off == [0.0, 0.0]  # to the two digits that are told
+
+
+@needs_compiler
+def test_a_principal_point_that_is_counted_otherwise_is_told(blaze):
+    with TofCamera("gentl", _settings(range_format="Coord3D_ABC32f")) as source:
+        blaze["Scan3dPrincipalPointU"] += 0.5  # from now on the points are made with another one than was told
+        _next(source)
+    assert source.told["points off the intrinsics [px]"] == "-0.50, 0.00"
 
 
 @needs_compiler

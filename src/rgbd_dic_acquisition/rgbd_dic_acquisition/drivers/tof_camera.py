@@ -15,7 +15,7 @@ from ..sources import DepthFrame
 from .tof_components import Coordinates, depth_frame
 from .tof_device import Grab, TofDevice, device_class
 from .tof_settings import TofSettings
-from .tof_setup import coordinates, intrinsics, latch, set_up
+from .tof_setup import coordinates, disagreement_px, intrinsics, latch, set_up
 
 # A device that delivers nothing but failed buffers for this long is worth opening again [s].
 USELESS_S = 3.0
@@ -23,6 +23,7 @@ USELESS_S = 3.0
 LATCH_S = 2.0
 # A latched clock is not that of the frames if it says that one is on its way for longer than this [ns].
 PLAUSIBLE_NS = 1_000_000_000
+POINTS_OFF = "points off the intrinsics [px]"
 
 
 class TofCamera:
@@ -129,6 +130,9 @@ class TofCamera:
             frame = depth_frame(stamp_ns, grab.components, self._coordinates, limits_m)
         except ImageError as error:
             return self._fail(str(error))
+        if self.camera is not None and frame.points_m is not None and POINTS_OFF not in self.told:
+            across, down = disagreement_px(self.camera, frame.points_m)
+            self.told[POINTS_OFF] = f"{across:.2f}, {down:.2f}"
         self._last_stamp_ns = stamp_ns
         self.counts["frames"] += 1
         return replace(frame, device_ns=grab.device_ns)

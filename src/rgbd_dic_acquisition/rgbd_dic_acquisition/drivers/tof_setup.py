@@ -11,6 +11,9 @@ import contextlib
 import time
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ..calibration import Camera
 from ..errors import DeviceError
 from .tof_components import Coordinates
@@ -89,6 +92,20 @@ def intrinsics(features: Features) -> Camera | None:
         return None
     aspect = features.get("Scan3dAspectRatio") or 1.0
     return Camera(*map(int, size), float(focal), float(focal) * aspect, float(centre[0]), float(centre[1]))
+
+
+def disagreement_px(camera: Camera, points_m: NDArray[np.float32]) -> tuple[float, float]:
+    """How far the points (rows, cols, 3) of a device lie from the rays of their pixels: median in x and y [px].
+
+    Not 0, 0 where the device counts its pixels or its principal point otherwise than `intrinsics` takes it, or
+    corrects no distortion; NaN without any point.
+    """
+    rows, cols = np.nonzero(np.isfinite(points_m[..., 2]))
+    if rows.size == 0:
+        return np.nan, np.nan
+    off = camera.project(points_m[rows, cols]) - np.stack([cols, rows], axis=-1)
+    across, down = np.median(off, axis=0)
+    return float(across), float(down)
 
 
 def latch(features: Features) -> tuple[int, int, int] | None:
