@@ -41,7 +41,7 @@ enum : size_t {
   kCentreU = 0x0B8, kCentreV = 0x0C0, kWidth = 0x0C8, kHeight = 0x0CC, kStart = 0x0D0, kStop = 0x0D4,
   kLatch = 0x0E0, kLatched = 0x0E8,
   kPresent = 0x800, kFrozen = 0x804, kFail = 0x808, kSkip = 0x80C, kMade = 0x810, kSkew = 0x818, kOffset = 0x820,
-  kJitter = 0x828
+  kJitter = 0x828, kTick = 0x830, kTicksOnly = 0x834
 };
 
 struct Part {
@@ -201,7 +201,7 @@ int32_t producer_info(int32_t command, int32_t* type, void* buffer, size_t* room
 }
 int32_t device_info(int32_t command, int32_t* type, void* buffer, size_t* room) {
   if (command == 5) return put_number<int32_t>(kInt32, camera.open ? 5 : 1, type, buffer, room);
-  if (command == 9) return put_number<uint64_t>(kUint64, 1000000000, type, buffer, room);
+  if (command == 9) return put_number<uint64_t>(kUint64, 1000000000 / camera.get<uint32_t>(kTick), type, buffer, room);
   return put_named({kDeviceId, "rgbd_dic", "fake blaze-101", "Custom", "fake blaze-101", "", "lower", "24000101", "1"},
                    command, type, buffer, room);
 }
@@ -459,7 +459,10 @@ GENTL DSGetBufferInfo(Handle, Handle handle, int32_t c, int32_t* t, void* b, siz
     case 0: return put_number<const void*>(kPointer, buffer->data, t, b, s);
     case 1: case 9: case 27: return put_number<size_t>(kSize, buffer->size, t, b, s);
     case 2: return put_number<const void*>(kPointer, buffer->user, t, b, s);
-    case 3: case 28: return put_number<uint64_t>(kUint64, buffer->timestamp_ns, t, b, s);
+    case 3: return put_number<uint64_t>(kUint64, buffer->timestamp_ns / camera.get<uint32_t>(kTick), t, b, s);
+    case 28:
+      if (camera.get<uint32_t>(kTicksOnly)) return kNotAvailable;
+      return DSGetBufferInfo(nullptr, handle, 3, t, b, s);  // a tick that is not 1 ns is passed off as one
     case 4: case 17: return put_number<uint8_t>(kBool8, 1, t, b, s);
     case 5: return put_number<uint8_t>(kBool8, buffer->queued, t, b, s);
     case 6: case 29: case 30: case 31: return put_number<uint8_t>(kBool8, 0, t, b, s);

@@ -64,6 +64,8 @@ FAULTS: dict[str, tuple[int, str, Any]] = {
     "skew_ppm": (0x818, "f8", 60.0),
     "offset_ns": (0x820, "i8", 7_000_000_000_000),
     "jitter_s": (0x828, "f8", 0.0),
+    "tick_ns": (0x830, "u4", 1),  # what its time stamps count ...
+    "ticks_only": (0x834, "u4", 0),  # ... 0: and call nanoseconds all the same
 }
 
 

@@ -242,6 +242,18 @@ def test_stamps_are_the_moment_of_the_frame_in_host_time(tmp_path, monkeypatch, 
 
 
 @needs_compiler
+@pytest.mark.parametrize("ticks_only", [1, 0])
+def test_ticks_are_converted_or_not_taken_for_nanoseconds(blaze, ticks_only):
+    blaze["tick_ns"], blaze["ticks_only"] = 8, ticks_only
+    with TofCamera("gentl", _settings()) as source:
+        _next(source, 10)
+        frame, now_ns = _next(source)[0], time.time_ns()
+    clock = "by latches" if ticks_only else "none in nanoseconds: stamps are the arrival"
+    assert source.told["clock"].startswith(clock)
+    assert 0 < now_ns - frame.stamp_ns < 0.5e9
+
+
+@needs_compiler
 def test_failed_and_lost_buffers_are_counted(blaze):
     with TofCamera("gentl", _settings()) as source:
         before = _next(source)[0]

@@ -77,14 +77,21 @@ class GentlTof:
             if buffer is None:
                 return Grab(failure=self._failed.reason) if self._failed.reason else None
             try:
-                number, device_ns = _optional(buffer, "frame_id"), _optional(buffer, "timestamp_ns")
-                return Grab(tuple(_components(buffer)), device_ns or None, number)
+                number = _optional(buffer, "frame_id")
+                return Grab(tuple(_components(buffer)), self._device_ns(buffer), number)
             except UNREADABLE as error:
                 return Grab(number=number, failure=f"the buffer cannot be read: {error}")
             finally:
                 buffer.parent.queue_buffer(buffer)
         except ERRORS as error:
             raise DeviceError(f"{self.name} does not deliver any more: {error}") from error
+
+    def _device_ns(self, buffer: Any) -> int | None:
+        device_ns = _optional(buffer, "timestamp_ns")
+        if device_ns is None:
+            ticks, per_second = _optional(buffer, "timestamp"), _optional(self._acquirer.device, "timestamp_frequency")
+            device_ns = ticks * 1_000_000_000 // per_second if ticks and per_second else None
+        return device_ns or None
 
     def _wait_at_once(self, timeout_ms: int) -> None:
         """Have harvesters wait in one call, not in a thousand a second."""

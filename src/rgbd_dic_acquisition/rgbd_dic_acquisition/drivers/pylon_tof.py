@@ -40,6 +40,7 @@ class PylonTof:
             raise DeviceError(f"the device cannot be opened through pylon: {_first_line(error)}") from error
         nodes = self._camera.GetNodeMap()
         self.features = Features(nodes.GetNode, genicam, (genicam.GenericException,), str.capitalize)
+        self._ticks_a_second = self.features.get("GevTimestampTickFrequency") or 1_000_000_000
 
     def start(self) -> None:
         try:
@@ -58,7 +59,8 @@ class PylonTof:
                 number = result.BlockID
                 if not result.GrabSucceeded():
                     return Grab(number=number, failure=result.ErrorDescription or "the buffer failed")
-                return Grab(tuple(components(result.GetDataContainer())), result.TimeStamp or None, number)
+                device_ns = result.TimeStamp * 1_000_000_000 // self._ticks_a_second
+                return Grab(tuple(components(result.GetDataContainer())), device_ns or None, number)
             finally:
                 result.Release()
         except genicam.GenericException as error:

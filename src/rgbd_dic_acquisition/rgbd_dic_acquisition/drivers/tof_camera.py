@@ -23,6 +23,8 @@ USELESS_S = 3.0
 LATCH_S = 2.0
 # A latched clock is not that of the frames if it says that one is on its way for longer than this [ns].
 PLAUSIBLE_NS = 1_000_000_000
+# How long the device's clock is watched before it is told whether it counts nanoseconds [ns].
+MEASURE_RATE_NS = 200_000_000
 POINTS_OFF = "points off the intrinsics [px]"
 
 
@@ -77,7 +79,8 @@ class TofCamera:
             raise
         self.told = {"device": device.name, **({"not done": "; ".join(lacking)} if lacking else {})}
         self._clock = HostClock()
-        self._latch_works = True
+        self._latch_works = self._is_clock = True
+        self._first: tuple[int, int] | None = None
         self._number: int | None = None
         self._good_at = time.monotonic()
         self._latch_at = -math.inf
@@ -160,10 +163,18 @@ class TofCamera:
 
     def _stamp(self, grab: Grab, arrival_ns: int) -> int:
         """Host time of the frame."""
-        if grab.device_ns is None:
-            self.told["clock"] = "none: stamps are the arrival"
+        if grab.device_ns is None or not self._counts_nanoseconds(grab.device_ns, arrival_ns):
+            self.told["clock"] = f"none{'' if grab.device_ns is None else ' in nanoseconds'}: stamps are the arrival"
             return arrival_ns
         host = self._clock.stamp(grab.device_ns, arrival_ns)
         source = "latches" if self._clock.latched else "arrivals"
         self.told["clock"] = f"by {source}, to {host.uncertainty_ns * 1e-6:.3f} ms"
         return host.stamp_ns
+
+    def _counts_nanoseconds(self, device_ns: int, arrival_ns: int) -> bool:
+        """Whether the device's clock runs about as fast as ours; once it does not, it is not asked again."""
+        first_device_ns, first_arrival_ns = self._first = self._first or (device_ns, arrival_ns)
+        passed_ns = arrival_ns - first_arrival_ns
+        if self._is_clock and MEASURE_RATE_NS < passed_ns < 10 * MEASURE_RATE_NS:
+            self._is_clock = 0.5 < (device_ns - first_device_ns) / passed_ns < 2
+        return self._is_clock

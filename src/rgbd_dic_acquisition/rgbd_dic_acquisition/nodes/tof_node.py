@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2, TimeReference
 
-from ..calibration import Calibration, Camera, load_calibration, points_from_depth
+from ..calibration import Calibration, intrinsics_of, load_calibration, points_from_depth
 from ..drivers.tof_camera import TofCamera
 from ..drivers.tof_device import LIBRARIES
 from ..drivers.tof_settings import TofSettings
-from ..errors import CalibrationError, RgbdDicError
+from ..errors import RgbdDicError
 from ..messages import (
     TF,
     camera_info_message,
@@ -85,6 +85,8 @@ class TofNode(Node):
         self._time = self._publisher(TimeReference, "tof/time_reference")
         if calibration is not None:
             self._publish_transform(calibration)
+        else:
+            self.get_logger().warning("no calibration.yaml: no extrinsics on /tf_static")
 
     def work(self) -> Iterator[float]:
         """Publish frame after frame."""
@@ -105,7 +107,7 @@ class TofNode(Node):
 
     def _publish(self, frame: DepthFrame) -> None:
         about = (frame.stamp_ns, self._settings.frame_id)
-        camera = self._camera(frame)
+        camera = intrinsics_of(frame.depth_m.shape, self._calibrated or self._source.camera)
         self._depth.publish(depth_message(make, *about, frame.depth_m))
         self._info.publish(camera_info_message(make, *about, camera))
         if self._points is not None:
@@ -118,18 +120,6 @@ class TofNode(Node):
         if frame.device_ns is not None:
             header, device = header_message(make, frame.stamp_ns, ""), stamp_message(make, frame.device_ns)
             self._time.publish(make(TIME_REFERENCE, header=header, time_ref=device, source="tof"))
-
-    def _camera(self, frame: DepthFrame) -> Camera:
-        """The intrinsics that go with a frame: those of calibration.yaml, else the source's own."""
-        camera = self._calibrated or self._source.camera
-        if camera is None:
-            raise CalibrationError("the ToF camera tells no intrinsics: give a calibration.yaml with an entry 'tof'")
-        if (camera.height, camera.width) != frame.depth_m.shape:
-            raise CalibrationError(
-                f"depth of {frame.depth_m.shape[1]} x {frame.depth_m.shape[0]} pixels has intrinsics of "
-                f"{camera.width} x {camera.height}: give the calibration.yaml of this ToF camera"
-            )
-        return camera
 
     def _loss(self, new: Counter[str]) -> str:
         if new["failed"]:
