@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import signal
 import time
 from collections.abc import Callable, Iterator
@@ -213,32 +214,29 @@ def test_a_library_that_is_missing_is_told_with_the_remedy(monkeypatch):
 
 
 @needs_compiler
-@pytest.mark.parametrize(("latch", "within_ms"), [(True, 1.0), (False, 10.0)])
-def test_stamps_are_the_moment_of_the_frame_in_host_time(tmp_path, monkeypatch, latch, within_ms):
-    """The camera's clock is two hours off and 60 ppm fast; its frames come up to 30 ms late.
+@pytest.mark.parametrize("latch", [True, False])
+def test_stamps_are_the_moment_of_the_frame_in_host_time(tmp_path, monkeypatch, latch):
+    """The camera's clock is two hours off and 60 ppm fast; its frames come up to 30 ms late, or later.
 
-    A latch of the clock takes less than a millisecond. Without one the earliest arrival of dozens remains.
+    The error is within four of the standard uncertainties that are told; without a latch, what the fastest of the
+    frames took is in it too.
     """
     blaze = FakeBlaze(tmp_path, latch)
     monkeypatch.setenv("FAKE_BLAZE", blaze.environment["FAKE_BLAZE"])
     blaze["jitter_s"] = 0.030
-    errors_ms = []
+    boot_ns = max(time.time_ns() - time.monotonic_ns() for _ in range(100))
+    fastest_ms, known = np.inf, 0
     with TofCamera("gentl", _settings()) as source:
-        grab = source._device.grab
-
-        def watched(timeout_s: float):
-            taken.append(grab(timeout_s))
-            return taken[-1]
-
-        taken = []
-        source._device.grab = watched
-        for _ in range(60):
+        for _ in range(50):
             frame = _next(source)[0]
-            since_start_ns = (taken[-1].device_ns - blaze["offset_ns"]) / (1 + 1e-6 * blaze["skew_ppm"])
-            true_ns = time.time_ns() - (time.monotonic_ns() - since_start_ns)
-            errors_ms.append((frame.stamp_ns - true_ns) / 1e6)
-    assert source.told["clock"].startswith("by latches" if latch else "by arrivals")
-    assert np.abs(errors_ms[20:]).max() < within_ms
+            true_ns = boot_ns + (frame.device_ns - blaze["offset_ns"]) / (1 + 1e-6 * blaze["skew_ppm"])
+            fastest_ms = min(fastest_ms, (time.time_ns() - true_ns) / 1e6)
+            how, told_ms = re.fullmatch(r"by (\w+), to (\S+) ms", source.told["clock"]).groups()
+            assert how == ("latches" if latch else "arrivals")
+            error_ms, within_ms = (frame.stamp_ns - true_ns) / 1e6, 4 * float(told_ms) + 0.5
+            known += np.isfinite(within_ms)
+            assert -within_ms < error_ms < within_ms + (0 if latch else fastest_ms)
+    assert known > 5
 
 
 @needs_compiler
@@ -250,7 +248,7 @@ def test_ticks_are_converted_or_not_taken_for_nanoseconds(blaze, ticks_only):
         frame, now_ns = _next(source)[0], time.time_ns()
     clock = "by latches" if ticks_only else "none in nanoseconds: stamps are the arrival"
     assert source.told["clock"].startswith(clock)
-    assert 0 < now_ns - frame.stamp_ns < 0.5e9
+    assert 0 < now_ns - frame.stamp_ns < 5e9
 
 
 @needs_compiler
@@ -290,7 +288,7 @@ def test_a_camera_that_is_unplugged_comes_back(blaze):
         blaze["present"] = 1
         again = _next(revival, 3)
         assert again[0].stamp_ns > first.stamp_ns and not revival.problem
-        assert all(0 < time.time_ns() - frame.stamp_ns < 1e9 for frame in again)
+        assert all(0 < time.time_ns() - frame.stamp_ns < 10e9 for frame in again)
         np.testing.assert_array_equal(again[0].depth_m, first.depth_m)
 
 
