@@ -43,7 +43,7 @@ def _settings(**values) -> TofSettings:
 
 
 def _next(source: TofCamera | Revival, count: int = 1) -> list[DepthFrame]:
-    frames, end = [], time.monotonic() + 10
+    frames, end = [], time.monotonic() + 60
     while len(frames) < count:
         assert time.monotonic() < end, vars(source)
         frame = source.read(0.02)
@@ -51,7 +51,7 @@ def _next(source: TofCamera | Revival, count: int = 1) -> list[DepthFrame]:
     return frames
 
 
-def _until(source: TofCamera | Revival, condition: Callable[[], bool], seconds: float = 10.0) -> None:
+def _until(source: TofCamera | Revival, condition: Callable[[], bool], seconds: float = 60.0) -> None:
     """Read until then."""
     end = time.monotonic() + seconds
     while not condition():

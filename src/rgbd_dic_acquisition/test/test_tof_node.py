@@ -50,7 +50,7 @@ class Listener:
     def counters(self) -> dict[str, str]:
         return {pair.key: pair.value for pair in self.statuses[-1].values} if self.statuses else {}
 
-    def until(self, condition: Callable[[], bool], seconds: float = 30.0) -> None:
+    def until(self, condition: Callable[[], bool], seconds: float = 120.0) -> None:
         end = time.monotonic() + seconds
         while not condition():
             assert time.monotonic() < end, (self.statuses[-1:], {k: len(v) for k, v in self.messages.items()})
@@ -160,7 +160,7 @@ def test_pylon_is_spoken_to_and_its_failures_are_told(processes, listener):
     pytest.importorskip("pypylon", reason=f"pypylon {INSTALL}")
     processes._environment["PYLON_CAMEMU"] = "1"
     node = processes.node("tof_node", source="pylon")
-    _wait_for(node, "Emulation 0815-0000")
+    _wait_for(node, "Emulation 0815-0000", 120)
     listener.until(lambda: listener.warned_of("buffers of the ToF camera fail: the frame has no component 'Range'"))
     assert not listener.messages["tof/depth/image_raw"]
     _stop(node)
