@@ -1,7 +1,8 @@
 # `make demo` and `make test` are all that a newcomer needs; each does the set-up that is missing.
 SHELL := /bin/bash
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-camera build demo test test-slow sanitize bench bench-real validate lint format docs sample lock clean
+.PHONY: help setup setup-camera setup-tof build demo test test-slow sanitize bench bench-real validate lint format docs
+.PHONY: sample lock clean
 
 run := tools/run
 
@@ -14,6 +15,10 @@ setup: .venv/.installed          ## virtual environment with pinned, hashed requ
 
 setup-camera: .venv/.camera      ## bindings of Aravis, for real cameras (docs/payload.md)
 .venv/.camera: requirements-camera.txt .venv/.installed
+	@.venv/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r $< && touch $@
+
+setup-tof: .venv/.tof            ## what reads real ToF cameras: harvesters and pypylon (docs/payload.md)
+.venv/.tof: requirements-tof.txt .venv/.installed
 	@.venv/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r $< && touch $@
 
 sources := $(shell find src -type f -not -path '*/__pycache__/*' -not -path '*/test/*')
@@ -70,6 +75,7 @@ compile := UV_PYTHON_DOWNLOADS=never uv pip compile --universal --generate-hashe
 lock:                            ## the pinned requirements from requirements*.in (needs uv)
 	$(compile) --python-version 3.10 requirements.in -o requirements.txt
 	$(compile) --python-version 3.10 requirements-camera.in -o requirements-camera.txt
+	$(compile) --python-version 3.10 -c requirements.txt requirements-tof.in -o requirements-tof.txt
 	$(compile) --python-version 3.11 --override tools/bench/left_out.txt requirements-bench.in \
 	  -o requirements-bench.txt
 

@@ -20,6 +20,7 @@ import yaml
 from rgbd_dic_acquisition.calibration import load_calibration
 from rgbd_dic_acquisition.drivers.aravis_connection import AravisSettings
 from rgbd_dic_acquisition.drivers.mavlink import MavlinkSettings
+from rgbd_dic_acquisition.drivers.tof_settings import TofSettings
 from rgbd_dic_acquisition.nodes.camera_node import CameraNodeSettings
 from rgbd_dic_acquisition.nodes.mavlink_node import MavlinkNodeSettings
 from rgbd_dic_acquisition.nodes.recorder_node import RecorderSettings
@@ -149,7 +150,7 @@ def test_maps_are_described() -> None:
 
 ACQUISITION: dict[str, dict[str, type[Settings]]] = {
     "camera_node": {"": CameraNodeSettings, "aravis": AravisSettings, "flight": FlightSettings},
-    "tof_node": {"": TofNodeSettings, "flight": FlightSettings},
+    "tof_node": {"": TofNodeSettings, "tof": TofSettings, "flight": FlightSettings},
     "mavlink_node": {"": MavlinkNodeSettings, "link": MavlinkSettings},
     "recorder_node": {"": RecorderSettings},
 }

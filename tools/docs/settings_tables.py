@@ -9,6 +9,7 @@ import yaml
 from blocks import table
 from rgbd_dic_acquisition.drivers.aravis_connection import AravisSettings
 from rgbd_dic_acquisition.drivers.mavlink import MavlinkSettings
+from rgbd_dic_acquisition.drivers.tof_settings import TofSettings
 from rgbd_dic_acquisition.nodes.camera_node import CameraNodeSettings
 from rgbd_dic_acquisition.nodes.mavlink_node import MavlinkNodeSettings
 from rgbd_dic_acquisition.nodes.player_node import PlayerSettings
@@ -30,6 +31,7 @@ NODES: dict[str, type[Settings]] = {
     "camera_node": CameraNodeSettings,
     "aravis": AravisSettings,
     "tof_node": TofNodeSettings,
+    "tof": TofSettings,
     "mavlink_node": MavlinkNodeSettings,
     "link": MavlinkSettings,
     "recorder_node": RecorderSettings,

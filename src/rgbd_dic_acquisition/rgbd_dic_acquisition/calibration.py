@@ -178,6 +178,22 @@ def points_from_depth(camera: Camera, depth_m: NDArray[np.floating]) -> Array:
     return (pixel_rays(camera) * np.asarray(depth_m, float)[..., None]).reshape(-1, 3)
 
 
+def intrinsics_of(shape: tuple[int, ...], camera: Camera | None) -> Camera:
+    """The intrinsics for depth of (rows, cols) pixels.
+
+    Raises:
+        CalibrationError: there are none, or they are of another size.
+    """
+    if camera is None:
+        raise CalibrationError("the ToF camera tells no intrinsics: give a calibration.yaml with an entry 'tof'")
+    if (camera.height, camera.width) != shape:
+        raise CalibrationError(
+            f"depth of {shape[1]} x {shape[0]} pixels has intrinsics of {camera.width} x {camera.height}: "
+            "give the calibration.yaml of this ToF camera"
+        )
+    return camera
+
+
 def load_calibration(path: Path | str) -> Calibration:
     """Read calibration.yaml.
 

@@ -36,12 +36,17 @@ class DepthFrame:
         depth_m: float32, along z [m]; NaN where there is none.
         intensity: uint16, without unit; None if the sensor gives none.
         confidence: uint16, without unit, 0 where there is no depth; None if the sensor gives none.
+        points_m: (rows, cols, 3) float32 in the optical frame [m], NaN where there is none; None if the sensor
+            gives depth alone.
+        device_ns: the moment of the stamp by the sensor's own clock [ns]; None if it has none.
     """
 
     stamp_ns: int
     depth_m: NDArray[np.float32]
     intensity: NDArray[np.uint16] | None = None
     confidence: NDArray[np.uint16] | None = None
+    points_m: NDArray[np.float32] | None = None
+    device_ns: int | None = None
 
 
 class _Source(Protocol):

@@ -15,6 +15,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rgbd_dic_acquisition.drivers.aravis_connection import AravisSettings
 from rgbd_dic_acquisition.drivers.mavlink import MavlinkSettings
+from rgbd_dic_acquisition.drivers.tof_settings import TofSettings
 from rgbd_dic_acquisition.errors import RgbdDicError, SettingsError
 from rgbd_dic_acquisition.nodes.camera_node import CameraNodeSettings
 from rgbd_dic_acquisition.nodes.mavlink_node import MavlinkNodeSettings
@@ -117,7 +118,7 @@ def test_the_example_file_has_the_defaults():
     text = (Path(__file__).parents[1] / "config" / "acquisition.yaml").read_text()
     groups = {
         "camera_node": (CameraNodeSettings, {"aravis": AravisSettings, "flight": FlightSettings}),
-        "tof_node": (TofNodeSettings, {"flight": FlightSettings}),
+        "tof_node": (TofNodeSettings, {"tof": TofSettings, "flight": FlightSettings}),
         "mavlink_node": (MavlinkNodeSettings, {"link": MavlinkSettings}),
         "recorder_node": (RecorderSettings, {}),
     }

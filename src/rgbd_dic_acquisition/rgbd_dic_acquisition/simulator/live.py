@@ -128,9 +128,12 @@ class SimulatedTof(_SimulatedSource):
     """A ToF sensor that plays the same flight, rendered as it goes."""
 
     frame_id = TOF_FRAME
+    period_s = math.inf  # it is never silent: who waits, waits for the right moment
 
     def __init__(self, settings: FlightSettings) -> None:
         super().__init__(settings, settings.timing.tof_rate_hz, settings.timing.tof_phase_s)
+        self.counts: Counter[str] = Counter()
+        self.told: dict[str, str] = {}
         self.camera = self.flight.tof_model.camera
 
     def open(self) -> None:
