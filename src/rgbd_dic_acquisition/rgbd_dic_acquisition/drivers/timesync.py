@@ -1,0 +1,132 @@
+"""Offset between host and autopilot by exchange in both directions: TIMESYNC, filtered as mavros and PX4 do it.
+
+The host sends its time `ts1`, the autopilot sends that back with its own time `tc1`. On arrival
+
+    offset = (ts1 + arrival) / 2 - tc1,      host time = autopilot's time + offset,
+
+is right to within half the round trip, whatever the delay of the link. Offset and drift are smoothed
+exponentially (Holt), with gains that fall from a first to a last value over a number of samples; slow replies and
+lone outliers are left aside, and a lasting jump begins anew (mavros, plugins/sys_time.cpp; PX4, timesync/Timesync.hpp,
+whose numbers these are). Two things differ: the first samples are averaged evenly, so that the very first weighs no
+more than the others, and of the latest replies only the faster half counts, so that one limit suits all links.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from statistics import median_low
+
+from ..clock import NS
+
+FIRST_GAIN, LAST_GAIN = 0.05, 0.003  # of the offset, and of its rate
+GAIN_WINDOW = 500  # samples from the first gain to the last
+SETTLED = 20  # samples from which on the offset is used
+MAX_DEVIATION_NS = NS // 10
+MAX_DEVIATIONS = 5  # in a row; more are a jump
+RECENT = 20  # replies whose faster half counts
+SHORTEST_STEP_S = 0.05  # of the estimate of the drift
+EXPIRES_NS = 10 * NS  # after this long without a reply the drift has made the offset worthless
+UNANSWERED = 10  # requests
+
+
+class Timesync:
+    """The exchange with one autopilot.
+
+    Attributes:
+        jumps: how often the offset was found to have jumped.
+        round_trip_ns: median of the latest replies [ns]; NaN before the first.
+    """
+
+    def __init__(self, max_round_trip_ns: int) -> None:
+        """Replies slower than this are never used."""
+        self.jumps = 0
+        self.round_trip_ns = math.nan
+        self._max_round_trip_ns = max_round_trip_ns
+        self._requested: deque[int] = deque(maxlen=4 * UNANSWERED)
+        self._round_trips: deque[int] = deque(maxlen=RECENT)
+        self._unanswered = 0
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the offset: the autopilot was restarted, or one of the clocks was set."""
+        self._requested.clear()
+        self._round_trips.clear()
+        self._samples = self._deviations = 0
+        self._base_ns = self._updated_ns = 0
+        self._offset_ns = self._rate = 0.0  # offset less its first value [ns]; its change per time
+
+    def request(self, now_ns: int) -> int:
+        """`ts1` of a request that is sent now; its `tc1` is 0."""
+        self._requested.append(now_ns)
+        self._unanswered += 1
+        return now_ns
+
+    def reply(self, tc1_ns: int, ts1_ns: int, arrival_ns: int) -> bool:
+        """Take a reply; whether it was used. One to a request of somebody else never is."""
+        if tc1_ns <= 0 or ts1_ns not in self._requested:
+            return False
+        self._requested.remove(ts1_ns)
+        self._unanswered = 0
+        round_trip_ns = arrival_ns - ts1_ns
+        if round_trip_ns < 0:  # the host's clock was set back
+            return False
+        self._round_trips.append(round_trip_ns)
+        self.round_trip_ns = float(median_low(self._round_trips))
+        if round_trip_ns > min(self.round_trip_ns, self._max_round_trip_ns):
+            return False
+        return self._update((ts1_ns + arrival_ns) // 2 - tc1_ns, arrival_ns)
+
+    def offset_ns(self, now_ns: int) -> int | None:
+        """What to add to the autopilot's time [ns]; None while it is not known well enough."""
+        age_ns = now_ns - self._updated_ns
+        if self._samples < SETTLED or not 0 <= age_ns <= EXPIRES_NS:
+            return None
+        return self._base_ns + round(self._offset_ns + self._rate * age_ns)
+
+    @property
+    def uncertainty_ns(self) -> float:
+        """Standard uncertainty of the offset [ns]: how a round trip divides into its two ways is not known."""
+        return self.round_trip_ns / 2 / math.sqrt(3)
+
+    @property
+    def problem(self) -> str:
+        """Why there may be no offset, in words; empty if nothing is known against it."""
+        if self._unanswered > UNANSWERED:
+            return "TIMESYNC is not answered"
+        if self.round_trip_ns > self._max_round_trip_ns:
+            return (
+                f"TIMESYNC takes {self.round_trip_ns * 1e-6:.1f} ms there and back, more than the "
+                f"{self._max_round_trip_ns * 1e-6:g} ms that are allowed: take a faster link, or load it less"
+            )
+        return ""
+
+    def _update(self, offset_ns: int, arrival_ns: int) -> bool:
+        if self._samples == 0:
+            self._base_ns = offset_ns
+        step_ns = arrival_ns - self._updated_ns if self._samples else 0
+        predicted_ns = self._offset_ns + self._rate * step_ns
+        error_ns = offset_ns - self._base_ns - predicted_ns
+        if self._samples >= SETTLED and abs(error_ns) > MAX_DEVIATION_NS:
+            self._deviations += 1
+            if self._deviations > MAX_DEVIATIONS:
+                self.jumps += 1
+                self.reset()
+            return False
+        self._deviations = 0
+        gain = _gain(self._samples)
+        alpha = max(gain, 1 / (self._samples + 1))
+        self._offset_ns = predicted_ns + alpha * error_ns
+        if self._samples >= SETTLED:
+            self._rate += gain * alpha * error_ns / max(step_ns, SHORTEST_STEP_S * NS)
+        self._updated_ns = arrival_ns
+        self._samples += 1
+        return True
+
+
+def _gain(samples: int) -> float:
+    if samples >= GAIN_WINDOW:
+        return LAST_GAIN
+    progress = samples / GAIN_WINDOW
+    part = 1 - math.exp(0.5 * (1 - 1 / (1 - progress)))
+    return part * LAST_GAIN + (1 - part) * FIRST_GAIN
