@@ -76,18 +76,31 @@ def test_a_drifting_clock_is_followed_through_jitter(drift):
     link = Link(seed=2, drift=drift, jitter_there=1e-3, jitter_back=1e-3)
     timesync = Timesync(50_000_000)
     errors_s = _offset_errors_s(timesync, link)
-    # The halved difference of two exponential delays of 1 ms scatters by 0.7 ms, and by less in the faster half.
-    # The least gain that averages it is that of the first 500 samples, 0.05 to 0.003.
+    # The halved difference of two exponential delays of 1 ms scatters by 0.7 ms, and by less where neither is long;
+    # the least gain that averages it is that of the first 500 samples, 0.05 to 0.003.
     assert np.nanmax(np.abs(errors_s)) < 0.5e-3
     assert np.sqrt(np.mean(errors_s[-500:] ** 2)) < 0.1e-3
-    assert timesync.round_trip_ns == pytest.approx(5.7e6, rel=0.15)
+    assert timesync.round_trip_ns == pytest.approx(4.2e6, rel=0.1)
     assert np.sqrt(np.mean(errors_s[-500:] ** 2)) < timesync.uncertainty_ns / NS < 2e-3
 
 
 def test_a_busy_autopilot_answers_late_and_only_its_fast_replies_count():
-    """Jitter on one way alone biases every reply by half of it; the faster half has less of it."""
+    """Jitter on one way alone biases every reply by half of it; those that count have a part of it."""
     errors_s = _offset_errors_s(Timesync(50_000_000), Link(seed=3, drift=0.0, jitter_back=4e-3))
-    assert abs(np.mean(errors_s[-500:])) < 0.8e-3  # 2 ms is the mean of all; ln(2) - 0.5 of it is that of the half
+    # 2 ms is the mean of all. Of an exponential delay of 4 ms what is below 2 ms has the mean 0.92 ms; half of it.
+    assert np.mean(errors_s[-500:]) == pytest.approx(0.46e-3, abs=0.15e-3)
+
+
+def test_replies_that_are_held_up_for_seconds_count_for_nothing():
+    """As by garbage on a serial line, which makes the parser wait for the end of a message that is none."""
+    timesync, link = Timesync(50_000_000), Link(drift=0.0)
+    _offset_errors_s(timesync, link, seconds=30)
+    before = timesync.offset_ns(host_of(30))
+    link.back = lambda: 0.002 + 0.005 + link.rng.exponential(0.01)
+    for k in range(40):
+        assert not link.exchange(timesync, 30 + k / 10)
+    assert timesync.offset_ns(host_of(34)) == before
+    assert sum(link.exchange(timesync, 34 + k / 10) for k in range(100)) > 10, "if it stays like that, they have to do"
 
 
 def test_only_replies_to_own_requests_count():

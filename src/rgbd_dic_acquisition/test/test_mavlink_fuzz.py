@@ -107,8 +107,10 @@ def is_alive(send, autopilot):
     """Afterwards good messages get through, with stamps of now."""
     good = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
     send(b"\0" * 300)  # ends whatever was begun
-    for k in range(100):
-        send(good.attitude_encode(50_000 + 10 * k, 0.1, 0.2, 0.3, 0, 0, 0).pack(good))
+    begin = time.monotonic()
+    for _ in range(100):
+        boot_ms = 50_000 + round(1000 * (time.monotonic() - begin))
+        send(good.attitude_encode(boot_ms, 0.1, 0.2, 0.3, 0, 0, 0).pack(good))
         time.sleep(0.01)
         now_ns = time.time_ns()
         readings = autopilot.read()

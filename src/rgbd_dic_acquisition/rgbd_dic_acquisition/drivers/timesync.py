@@ -8,14 +8,14 @@ is right to within half the round trip, whatever the delay of the link. Offset a
 exponentially (Holt), with gains that fall from a first to a last value over a number of samples; slow replies and
 lone outliers are left aside, and a lasting jump begins anew (mavros, plugins/sys_time.cpp; PX4, timesync/Timesync.hpp,
 whose numbers these are). Two things differ: the first samples are averaged evenly, so that the very first weighs no
-more than the others, and of the latest replies only the faster half counts, so that one limit suits all links.
+more than the others, and what is slow is told by the fastest of the latest replies, so that a reply that was held up
+on one way alone, and is off by half of that, does not count on a fast link either.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from statistics import median_low
 
 from ..clock import NS
 
@@ -24,7 +24,8 @@ GAIN_WINDOW = 500  # samples from the first gain to the last
 SETTLED = 20  # samples from which on the offset is used
 MAX_DEVIATION_NS = NS // 10
 MAX_DEVIATIONS = 5  # in a row; more are a jump
-RECENT = 20  # replies whose faster half counts
+RECENT_NS = 5 * NS  # of which the fastest reply is the measure
+SLACK_NS, SLACK = 500_000, 0.5  # what a reply that counts may take more than that, the larger of both
 SHORTEST_STEP_S = 0.05  # of the estimate of the drift
 EXPIRES_NS = 10 * NS  # after this long without a reply the drift has made the offset worthless
 UNANSWERED = 10  # requests
@@ -35,7 +36,7 @@ class Timesync:
 
     Attributes:
         jumps: how often the offset was found to have jumped.
-        round_trip_ns: median of the latest replies [ns]; NaN before the first.
+        round_trip_ns: of the fastest of the latest replies [ns]; NaN before the first.
     """
 
     def __init__(self, max_round_trip_ns: int) -> None:
@@ -44,7 +45,7 @@ class Timesync:
         self.round_trip_ns = math.nan
         self._max_round_trip_ns = max_round_trip_ns
         self._requested: deque[int] = deque(maxlen=4 * UNANSWERED)
-        self._round_trips: deque[int] = deque(maxlen=RECENT)
+        self._round_trips: deque[tuple[int, int]] = deque()  # arrival, round trip
         self._unanswered = 0
         self.reset()
 
@@ -71,9 +72,12 @@ class Timesync:
         round_trip_ns = arrival_ns - ts1_ns
         if round_trip_ns < 0:  # the host's clock was set back
             return False
-        self._round_trips.append(round_trip_ns)
-        self.round_trip_ns = float(median_low(self._round_trips))
-        if round_trip_ns > min(self.round_trip_ns, self._max_round_trip_ns):
+        self._round_trips.append((arrival_ns, round_trip_ns))
+        while self._round_trips[0][0] < arrival_ns - RECENT_NS:
+            self._round_trips.popleft()
+        fastest_ns = min(round_trip for _, round_trip in self._round_trips)
+        self.round_trip_ns = float(fastest_ns)
+        if round_trip_ns > min(fastest_ns + max(SLACK_NS, SLACK * fastest_ns), self._max_round_trip_ns):
             return False
         return self._update((ts1_ns + arrival_ns) // 2 - tc1_ns, arrival_ns)
 

@@ -1,7 +1,8 @@
 """An autopilot on the MAVLink implementation of MAVSDK, which shares no code with pymavlink.
 
-It flies `flight_truth`, counts its own time from its start with a drift, sends attitude late by a fixed delay as a
-slow link does, answers TIMESYNC at once, and sets the rate of ATTITUDE_QUATERNION when it is told to.
+It flies `flight_truth`, counts its own time from its start with a drift, sends attitude and time late by a fixed
+delay as one that has much else to do, answers TIMESYNC at once, and sets the rate of ATTITUDE_QUATERNION when it is
+told to.
 """
 
 from __future__ import annotations
@@ -64,17 +65,21 @@ class Autopilot:
         q = dict(zip(("q1", "q2", "q3", "q4"), quaternion(ROLL_RAD, PITCH_RAD, yaw), strict=True))
         return "ATTITUDE_QUATERNION", {"time_boot_ms": boot_ms, **q, **rates}
 
+    def system_time(self, host_ns: int) -> tuple[str, dict[str, object]]:
+        return "SYSTEM_TIME", {"time_unix_usec": host_ns // 1000, "time_boot_ms": self.boot_ns(host_ns) // 1_000_000}
+
     def fly(self, stop: threading.Event) -> None:
         waiting: deque[tuple[int, str, dict[str, object]]] = deque()
         next_ns = next_time_ns = time.time_ns()
         while not stop.is_set():
             now_ns = time.time_ns()
+            send_ns = now_ns + round(self.options.delay_s * 1e9)
             if self.rate_hz and now_ns >= next_ns:
                 next_ns = max(next_ns + round(1e9 / self.rate_hz), now_ns)
-                waiting.append((now_ns + round(self.options.delay_s * 1e9), *self.attitude(now_ns)))
+                waiting.append((send_ns, *self.attitude(now_ns)))
             if now_ns >= next_time_ns:
-                next_time_ns += 10**9
-                self.send("SYSTEM_TIME", time_unix_usec=now_ns // 1000, time_boot_ms=self.boot_ns(now_ns) // 1_000_000)
+                next_time_ns = max(next_time_ns + 10**9, now_ns)
+                waiting.append((send_ns, *self.system_time(now_ns)))
             while waiting and waiting[0][0] <= now_ns:
                 _, name, fields = waiting.popleft()
                 self.send(name, **fields)

@@ -1,6 +1,6 @@
 // An autopilot on node-mavlink, a third implementation of MAVLink, in TypeScript: the same attitude over UDP.
 //   node node_mavlink_autopilot.mjs PORT
-// Its time since boot begins at 100 s; attitude is sent 30 ms late, TIMESYNC is answered at once.
+// Its time since boot begins at 100 s; attitude and time are sent 30 ms late, TIMESYNC is answered at once.
 import { createSocket } from 'node:dgram'
 import { PassThrough } from 'node:stream'
 import { MavLinkPacketParser, MavLinkPacketSplitter, MavLinkProtocolV2, common, minimal } from 'node-mavlink'
@@ -49,7 +49,7 @@ function everySecond () {
   const time = new common.SystemTime()
   time.timeUnixUsec = now / 1000n
   time.timeBootMs = Number(bootNs(now) / 1_000_000n)
-  send(time)
+  setTimeout(() => send(time), DELAY_MS)
 }
 
 const received = new PassThrough()
