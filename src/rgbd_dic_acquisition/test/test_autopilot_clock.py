@@ -91,6 +91,51 @@ def test_a_busy_autopilot_answers_late_and_only_its_fast_replies_count():
     assert np.mean(errors_s[-500:]) == pytest.approx(0.46e-3, abs=0.15e-3)
 
 
+class FilterOfMavros:
+    """What plugins/sys_time.cpp does with its default parameters, but for the jump of the clock."""
+
+    def __init__(self):
+        self.samples, self.base, self.offset, self.skew = 0, None, 0.0, 0.0
+
+    def request(self, now_ns):
+        return now_ns
+
+    def reply(self, tc1_ns, ts1_ns, arrival_ns):
+        if arrival_ns - ts1_ns >= 10_000_000:
+            return
+        self.base = self.base or (ts1_ns + arrival_ns) // 2 - tc1_ns
+        observed = (ts1_ns + arrival_ns) // 2 - tc1_ns - self.base
+        gain = 0.003
+        if self.samples < 500:
+            part = 1 - math.exp(0.5 * (1 - 1 / (1 - self.samples / 500)))
+            gain = part * 0.003 + (1 - part) * 0.05
+        before = self.offset
+        self.offset = gain * observed + (1 - gain) * (self.offset + self.skew) if self.samples else observed
+        self.skew = gain * (self.offset - before) + (1 - gain) * self.skew
+        self.samples += 1
+
+    def offset_ns(self, now_ns):
+        return None if self.base is None else self.base + round(self.offset)
+
+
+@pytest.mark.parametrize(
+    ("link", "least_gain"),
+    [
+        ({"jitter_there": 1e-3, "jitter_back": 1e-3}, 1.0),
+        ({"jitter_back": 4e-3}, 1.5),  # a busy autopilot
+        ({"there": 8e-3, "back": 8e-3, "jitter_there": 2e-3, "jitter_back": 2e-3}, math.inf),  # 57600 baud
+    ],
+)
+def test_the_offset_is_no_worse_than_that_of_mavros(link, least_gain):
+    def rms_s(make):
+        errors = np.concatenate([_offset_errors_s(make(), Link(seed=seed, **link))[100:] for seed in range(4)])
+        return math.inf if np.isnan(errors).any() else np.sqrt(np.mean(errors**2))
+
+    ours_s, theirs_s = rms_s(lambda: Timesync(50_000_000)), rms_s(FilterOfMavros)
+    assert ours_s < 0.7e-3
+    assert theirs_s / ours_s >= least_gain
+
+
 def test_replies_that_are_held_up_for_seconds_count_for_nothing():
     """As by garbage on a serial line, which makes the parser wait for the end of a message that is none."""
     timesync, link = Timesync(50_000_000), Link(drift=0.0)
