@@ -67,7 +67,7 @@ def _fly(clock, link, start_s, seconds, delivery_s, host_step_s=0.0, is_answered
 
 def test_the_offset_is_exact_when_both_ways_take_the_same_time():
     errors_s = _offset_errors_s(Timesync(50_000_000), Link(drift=0.0, there=0.02, back=0.02))
-    assert np.all(np.isnan(errors_s[:19])) and not np.isnan(errors_s[19])
+    assert np.all(np.isnan(errors_s[:4])) and not np.isnan(errors_s[4])
     assert np.nanmax(np.abs(errors_s)) < 2e-9  # whole nanoseconds
 
 
@@ -148,6 +148,17 @@ def test_replies_that_are_held_up_for_seconds_count_for_nothing():
     assert sum(link.exchange(timesync, 34 + k / 10) for k in range(100)) > 10, "if it stays like that, they have to do"
 
 
+def test_on_a_busy_computer_the_few_fast_replies_are_enough():
+    """Nine of ten round trips take tens of milliseconds, and the first of them look like all there is."""
+    link = Link(drift=20e-6, there=0.2e-3, back=0.1e-3)
+    ways = iter(link.rng.exponential(0.03, 2000) * (link.rng.random(2000) < 0.9))
+    link.there = lambda: 0.2e-3 + next(ways)
+    errors_s = _offset_errors_s(Timesync(50_000_000), link, seconds=60)
+    assert np.sum(np.isnan(errors_s)) < 100
+    # A fast reply is right to within (0.3 ms + slack) / 2; it takes a few, and of some there is nothing but slow ones.
+    assert np.nanmax(np.abs(errors_s[100:])) < 0.6e-3
+
+
 def test_only_replies_to_own_requests_count():
     timesync, link = Timesync(50_000_000), Link()
     for k in range(200):
@@ -181,7 +192,7 @@ def test_lone_outliers_are_left_aside_and_a_jump_is_followed():
     for k in range(5):
         assert not link.exchange(timesync, 30 + k / 10, host_step_s=7.0)
     assert timesync.offset_ns(host_of(31)) == before and timesync.jumps == 0
-    for k in range(26):
+    for k in range(11):
         link.exchange(timesync, 31 + k / 10, host_step_s=7.0)
     assert timesync.jumps == 1
     assert timesync.offset_ns(host_of(34 + 7)) == pytest.approx(before + 7 * NS, abs=10)
@@ -231,7 +242,7 @@ def test_a_timesync_of_another_clock_is_refused_and_said():
     assert "s apart: stamps go by the arrival of messages" in clock.problem
 
 
-@pytest.mark.parametrize("heard_s", [1.0, 600.0])
+@pytest.mark.parametrize("heard_s", [1.0, 120.0])
 @pytest.mark.parametrize("silence_s", [3.0, 45.0])
 def test_a_restarted_autopilot_is_noticed_at_once(heard_s, silence_s):
     """Also if it was heard for so short a time that its time since boot has not gone back."""

@@ -9,7 +9,8 @@ exponentially (Holt), with gains that fall from a first to a last value over a n
 lone outliers are left aside, and a lasting jump begins anew (mavros, plugins/sys_time.cpp; PX4, timesync/Timesync.hpp,
 whose numbers these are). Two things differ: the first samples are averaged evenly, so that the very first weighs no
 more than the others, and what is slow is told by the fastest of the latest replies, so that a reply that was held up
-on one way alone, and is off by half of that, does not count on a fast link either.
+on one way alone, and is off by half of that, does not count on a fast link either. One that is by far faster than all
+before makes them forgotten.
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ from ..clock import NS
 
 FIRST_GAIN, LAST_GAIN = 0.05, 0.003  # of the offset, and of its rate
 GAIN_WINDOW = 500  # samples from the first gain to the last
-SETTLED = 20  # samples from which on the offset is used
+SETTLED = 5  # samples from which on the offset is used
+DRIFT_SEEN = 20  # samples from which on there is a drift
 MAX_DEVIATION_NS = NS // 10
 MAX_DEVIATIONS = 5  # in a row; more are a jump
 RECENT_NS = 5 * NS  # of which the fastest reply is the measure
@@ -53,7 +55,8 @@ class Timesync:
         """Forget the offset: the autopilot was restarted, or one of the clocks was set."""
         self._requested.clear()
         self._round_trips.clear()
-        self._samples = self._deviations = 0
+        self._samples = self._averaged = self._deviations = 0
+        self._slowest_ns = 0  # of those that the offset rests on
         self._base_ns = self._updated_ns = 0
         self._offset_ns = self._rate = 0.0  # offset less its first value [ns]; its change per time
 
@@ -77,9 +80,9 @@ class Timesync:
             self._round_trips.popleft()
         fastest_ns = min(round_trip for _, round_trip in self._round_trips)
         self.round_trip_ns = float(fastest_ns)
-        if round_trip_ns > min(fastest_ns + max(SLACK_NS, SLACK * fastest_ns), self._max_round_trip_ns):
+        if round_trip_ns > min(_with_slack(fastest_ns), self._max_round_trip_ns):
             return False
-        return self._update((ts1_ns + arrival_ns) // 2 - tc1_ns, arrival_ns)
+        return self._update((ts1_ns + arrival_ns) // 2 - tc1_ns, round_trip_ns, arrival_ns)
 
     def offset_ns(self, now_ns: int) -> int | None:
         """What to add to the autopilot's time [ns]; None while it is not known well enough."""
@@ -105,7 +108,7 @@ class Timesync:
             )
         return ""
 
-    def _update(self, offset_ns: int, arrival_ns: int) -> bool:
+    def _update(self, offset_ns: int, round_trip_ns: int, arrival_ns: int) -> bool:
         if self._samples == 0:
             self._base_ns = offset_ns
         step_ns = arrival_ns - self._updated_ns if self._samples else 0
@@ -117,15 +120,23 @@ class Timesync:
                 self.jumps += 1
                 self.reset()
             return False
-        self._deviations = 0
-        gain = _gain(self._samples)
-        alpha = max(gain, 1 / (self._samples + 1))
+        if 2 * _with_slack(round_trip_ns) < self._slowest_ns:
+            self._averaged = self._slowest_ns = 0
+        self._slowest_ns = max(self._slowest_ns, round_trip_ns)
+        gain = _gain(self._averaged)
+        alpha = max(gain, 1 / (self._averaged + 1))
         self._offset_ns = predicted_ns + alpha * error_ns
-        if self._samples >= SETTLED:
+        if self._averaged >= DRIFT_SEEN:
             self._rate += gain * alpha * error_ns / max(step_ns, SHORTEST_STEP_S * NS)
         self._updated_ns = arrival_ns
         self._samples += 1
+        self._averaged += 1
+        self._deviations = 0
         return True
+
+
+def _with_slack(round_trip_ns: int) -> float:
+    return round_trip_ns + max(SLACK_NS, SLACK * round_trip_ns)
 
 
 def _gain(samples: int) -> float:
