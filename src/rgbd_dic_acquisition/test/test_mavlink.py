@@ -14,14 +14,9 @@ import numpy as np
 import pytest
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import common as mavlink
-from rgbd_dic_acquisition.drivers.mavlink import (
-    Attitude,
-    Autopilot,
-    MavlinkSettings,
-    SystemTime,
-    enu_flu_from_ned_frd,
-    quaternion_from_rpy,
-)
+from rgbd_dic_acquisition.drivers.attitude import enu_flu_from_ned_frd, quaternion_from_rpy
+from rgbd_dic_acquisition.drivers.autopilot_readings import Attitude, SystemTime
+from rgbd_dic_acquisition.drivers.mavlink import Autopilot, MavlinkSettings
 from rgbd_dic_acquisition.errors import SettingsError
 from scipy.spatial.transform import Rotation
 

@@ -13,7 +13,7 @@ import rclpy
 from autopilot_peers import Peers, free_port
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.executors import SingleThreadedExecutor
-from rgbd_dic_acquisition.drivers.mavlink import Attitude
+from rgbd_dic_acquisition.drivers.autopilot_readings import Attitude
 from rgbd_dic_acquisition.messages import stamp_to_ns
 from sensor_msgs.msg import Imu
 from test_mavlink_peers import DELAY_S, TOLERANCE_S, errors_s

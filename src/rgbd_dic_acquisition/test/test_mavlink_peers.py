@@ -20,14 +20,9 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from autopilot_peers import Peer, Peers, SerialCable, free_port
-from rgbd_dic_acquisition.drivers.mavlink import (
-    Attitude,
-    Autopilot,
-    MavlinkSettings,
-    SystemTime,
-    enu_flu_from_ned_frd,
-    quaternion_from_rpy,
-)
+from rgbd_dic_acquisition.drivers.attitude import enu_flu_from_ned_frd, quaternion_from_rpy
+from rgbd_dic_acquisition.drivers.autopilot_readings import Attitude, SystemTime
+from rgbd_dic_acquisition.drivers.mavlink import Autopilot, MavlinkSettings
 from scipy.spatial.transform import Rotation
 
 sys.path.append(str(Path(__file__).parent / "peers"))

@@ -11,7 +11,6 @@ import select
 import socket
 import termios
 import tty
-from collections.abc import Iterator
 from typing import NamedTuple, Protocol
 from urllib.parse import urlsplit
 
@@ -86,65 +85,45 @@ class _SocketLink:
 
 
 class UdpLink(_SocketLink):
-    """Datagrams to and from one address."""
+    """Datagrams: to and from one address, or listening on one and writing to the sender that `answer` names."""
 
     keeps_boundaries = True
     notices_loss = False
 
-    def __init__(self, host: str, port: int) -> None:
+    def __init__(self, host: str, port: int, listen: bool) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
+        self._listens = listen
+        self._peer: tuple[str, int] | None = None
         try:
-            self._socket.connect((host, port))  # the kernel then drops what others send
+            if listen:
+                self._socket.bind((host, port))
+            else:
+                self._socket.connect((host, port))  # the kernel then drops what others send
         except OSError:
             self._socket.close()
             raise
 
     def read(self) -> list[Piece]:
-        return list(_datagrams(self._socket))
+        pieces: list[Piece] = []
+        received = 0
+        while received < READ_BYTES:
+            try:
+                pieces.append(Piece(*self._socket.recvfrom(65535)))
+            except (BlockingIOError, ConnectionRefusedError):
+                break
+            received += max(len(pieces[-1].data), 64)  # empty datagrams count too
+        return pieces
 
     def write(self, data: bytes) -> None:
         with contextlib.suppress(BlockingIOError, ConnectionRefusedError):  # nobody listens there yet
-            self._socket.send(data)
-
-
-class UdpServer(_SocketLink):
-    """Listens for datagrams on an address, and writes to the sender that `answer` names."""
-
-    keeps_boundaries = True
-    notices_loss = False
-
-    def __init__(self, host: str, port: int) -> None:
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.setblocking(False)
-        self._peer: tuple[str, int] | None = None
-        try:
-            self._socket.bind((host, port))
-        except OSError:
-            self._socket.close()
-            raise
-
-    def read(self) -> list[Piece]:
-        return list(_datagrams(self._socket))
-
-    def write(self, data: bytes) -> None:
-        if self._peer is not None:
-            with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
+            if not self._listens:
+                self._socket.send(data)
+            elif self._peer is not None:
                 self._socket.sendto(data, self._peer)
 
     def answer(self, sender: tuple[str, int] | None) -> None:
         self._peer = sender
-
-
-def _datagrams(source: socket.socket) -> Iterator[Piece]:
-    received = 0
-    while received < READ_BYTES:
-        try:
-            piece = Piece(*source.recvfrom(65535))
-        except (BlockingIOError, ConnectionRefusedError):
-            return
-        received += max(len(piece.data), 64)  # empty datagrams count too
-        yield piece
 
 
 class TcpLink(_SocketLink):
@@ -244,7 +223,7 @@ def open_link(url: str) -> ByteLink:
         return SerialLink(place, number)
     if scheme == "tcp":
         return TcpLink(place, number)
-    return UdpServer(place, number) if scheme == "udpin" else UdpLink(place, number)
+    return UdpLink(place, number, listen=scheme == "udpin")
 
 
 def _parse(url: str) -> tuple[str, str, int]:

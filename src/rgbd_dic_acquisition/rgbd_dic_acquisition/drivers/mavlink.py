@@ -11,13 +11,10 @@ from dataclasses import dataclass
 from pymavlink.dialects.v20 import common as mavlink
 
 from ..settings import Settings, setting
-from .attitude import enu_flu_from_ned_frd, quaternion_from_rpy
 from .autopilot_clock import AutopilotClock
 from .autopilot_readings import PREFER_QUATERNION_S, Attitude, AutopilotReadings, SystemTime
 from .byte_links import ByteLink, Piece, check_url, open_link, wait
 from .mavlink_codec import BAD_DATA, MavlinkCodec
-
-__all__ = ["Attitude", "Autopilot", "MavlinkSettings", "SystemTime", "enu_flu_from_ned_frd", "quaternion_from_rpy"]
 
 HEARTBEAT_S = 1.0
 REOPEN_S = 1.0

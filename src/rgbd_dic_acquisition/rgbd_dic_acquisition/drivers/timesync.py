@@ -30,7 +30,8 @@ RECENT_NS = 5 * NS  # of which the fastest reply is the measure
 SLACK_NS, SLACK = 500_000, 0.5  # what a reply that counts may take more than that, the larger of both
 SHORTEST_STEP_S = 0.05  # of the estimate of the drift
 EXPIRES_NS = 10 * NS  # after this long without a reply the drift has made the offset worthless
-UNANSWERED = 10  # requests
+UNANSWERED_NS = 2 * NS
+REMEMBERED = 100  # requests that may still be answered
 
 
 class Timesync:
@@ -46,9 +47,10 @@ class Timesync:
         self.jumps = 0
         self.round_trip_ns = math.nan
         self._max_round_trip_ns = max_round_trip_ns
-        self._requested: deque[int] = deque(maxlen=4 * UNANSWERED)
+        self._requested: deque[int] = deque(maxlen=REMEMBERED)
         self._round_trips: deque[tuple[int, int]] = deque()  # arrival, round trip
-        self._unanswered = 0
+        self._asking_since_ns: int | None = None  # without an answer
+        self._asked_ns = 0
         self.reset()
 
     def reset(self) -> None:
@@ -62,8 +64,10 @@ class Timesync:
 
     def request(self, now_ns: int) -> int:
         """`ts1` of a request that is sent now; its `tc1` is 0."""
+        if self._asking_since_ns is None or now_ns - self._asked_ns > NS:  # it is asked again after a pause
+            self._asking_since_ns = now_ns
+        self._asked_ns = now_ns
         self._requested.append(now_ns)
-        self._unanswered += 1
         return now_ns
 
     def reply(self, tc1_ns: int, ts1_ns: int, arrival_ns: int) -> bool:
@@ -71,7 +75,7 @@ class Timesync:
         if tc1_ns <= 0 or ts1_ns not in self._requested:
             return False
         self._requested.remove(ts1_ns)
-        self._unanswered = 0
+        self._asking_since_ns = None
         round_trip_ns = arrival_ns - ts1_ns
         if round_trip_ns < 0:  # the host's clock was set back
             return False
@@ -93,13 +97,13 @@ class Timesync:
 
     @property
     def uncertainty_ns(self) -> float:
-        """Standard uncertainty of the offset [ns]: how a round trip divides into its two ways is not known."""
-        return self.round_trip_ns / 2 / math.sqrt(3)
+        """Standard uncertainty of the offset [ns]: how the round trips divide into their two ways is not known."""
+        return self._slowest_ns / 2 / math.sqrt(3)
 
     @property
     def problem(self) -> str:
         """Why there may be no offset, in words; empty if nothing is known against it."""
-        if self._unanswered > UNANSWERED:
+        if self._asking_since_ns is not None and self._asked_ns - self._asking_since_ns > UNANSWERED_NS:
             return "TIMESYNC is not answered"
         if self.round_trip_ns > self._max_round_trip_ns:
             return (

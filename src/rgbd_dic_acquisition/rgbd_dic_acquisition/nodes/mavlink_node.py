@@ -10,7 +10,8 @@ import numpy as np
 from rclpy.node import Node
 from sensor_msgs.msg import Imu, TimeReference
 
-from ..drivers.mavlink import Attitude, Autopilot, MavlinkSettings, SystemTime
+from ..drivers.autopilot_readings import Attitude, SystemTime
+from ..drivers.mavlink import Autopilot, MavlinkSettings
 from ..messages import header_message, imu_message, stamp_message
 from ..settings import setting
 from .diagnostics import Diagnostics
