@@ -16,6 +16,7 @@ from typing import BinaryIO
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
+from mcap.reader import make_reader
 from mcap.records import Channel, Chunk, McapRecord, Message, Schema
 from mcap.stream_reader import breakup_chunk, get_chunk_data_stream
 
@@ -31,7 +32,7 @@ class SalvagedFile:
     """One .mcap file, only read. All but `path` is known once `messages` has been gone through.
 
     Attributes:
-        is_closed: whether its index and its end are there.
+        is_closed: whether its index is there, and names as many messages.
         damaged_chunks: chunks that are there in full length, but not as they were written.
         lost_bytes: in damaged chunks and what depends on them, and from the cut on.
         compression: of its chunks: "", "zstd" or "lz4".
@@ -92,7 +93,7 @@ class SalvagedFile:
             if opcode == 0 or end > size:  # zeros, where a file system made room and nothing was written; or the cut
                 break
             if opcode == Opcode.DATA_END:
-                self._find_end(file, size)
+                self.is_closed = self._has_index(file)
                 return
             if opcode in _READ:
                 yield opcode, file.read(length)
@@ -100,9 +101,13 @@ class SalvagedFile:
             file.seek(whole_to)
         self.lost_bytes += size - whole_to
 
-    def _find_end(self, file: BinaryIO, size: int) -> None:
-        file.seek(max(0, size - len(MAGIC)))
-        self.is_closed = file.read() == MAGIC
+    def _has_index(self, file: BinaryIO) -> bool:
+        """Whether the file ends as it should, with an index of all its messages."""
+        try:
+            statistics = make_reader(file, validate_crcs=True).get_summary().statistics
+        except Exception:  # damaged bytes raise almost anything
+            return False
+        return statistics is not None and statistics.message_count == self.span.count
 
 
 def _parsed(opcode: int, body: bytes) -> list[McapRecord]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 import subprocess
 import sys
+import time
 
 import numpy as np
 import pytest
@@ -13,6 +14,8 @@ from mcap.reader import make_reader
 from rgbd_dic_acquisition.bag import BagReader, BagWriter, make_message
 from rgbd_dic_acquisition.bag_repair import repair_bag
 from rgbd_dic_acquisition.errors import BagError
+from rgbd_dic_acquisition.messages import stamp_to_ns
+from test_nodes import Processes
 
 from rgbd_dic_acquisition import messages
 
@@ -128,6 +131,17 @@ def test_a_damaged_chunk_is_left_out_and_the_rest_kept(whole, tmp_path):
     assert read(repair.path) == sent[: ends[1][1]] + sent[ends[2][1] :]
 
 
+def test_a_damaged_index_is_made_anew(whole, tmp_path):
+    _, data, sent, ends = whole
+    for k, at in enumerate(range(ends[-1][0] + 700, len(data), 400)):
+        damaged = bytearray(data)
+        damaged[at : at + 4] = b"\xff" * 4
+        file = tmp_path / f"{k}.mcap"
+        file.write_bytes(damaged)
+        assert read(repair_bag(file).path) == sent
+    assert k > 10
+
+
 def test_room_that_was_never_written_is_not_taken_for_messages(whole, tmp_path):
     """After power loss a file may have its length, and zeros in place of its end."""
     _, data, sent, ends = whole
@@ -224,3 +238,34 @@ def test_a_recorder_that_is_killed_loses_at_most_its_last_chunk(tmp_path):
     assert kept == list(range(len(kept)))
     chunk = 1024 * 1024 / 20_000
     assert len(kept) >= last + 1 - chunk - 2
+
+
+def test_a_recorder_node_that_is_killed_in_flight(tmp_path):
+    """60 images a second of a simulated camera; the recorder gets SIGKILL, and what it wrote is repaired."""
+    processes = Processes(tmp_path)
+    try:
+        flight = tmp_path / "flight"
+        topics = ["camera/image_raw sensor_msgs/msg/Image", "camera/camera_info sensor_msgs/msg/CameraInfo"]
+        recorder = processes.node("recorder_node", output=str(flight), topics=topics)
+        processes.node("camera_node")
+        file, end = flight / "flight_0.mcap", time.monotonic() + 60
+        while not file.exists() or file.stat().st_size < 8_000_000:
+            assert time.monotonic() < end, recorder.log.read_text()
+            time.sleep(0.02)
+        recorder.kill()
+        recorder.wait()
+        killed_ns = time.time_ns()
+    finally:
+        processes.end()
+    with pytest.raises(BagError, match=r"is cut short .*rgbd-dic info --repair"):
+        BagReader(flight)
+    before = file.read_bytes()
+    repair = repair_bag(flight)
+    assert file.read_bytes() == before
+    with BagReader(repair.path) as bag:
+        received = [log_time for _, log_time, _ in bag.messages(["/camera/image_raw"])]
+        stamps = [stamp_to_ns(message.header.stamp) for *_, message in bag.messages(["/camera/image_raw"])]
+        assert bag.topics["/camera/camera_info"].count == pytest.approx(len(stamps), abs=10)
+    assert len(stamps) > 30
+    assert max(np.diff(stamps)) < 1.5e9 / 60, "none is missing in between"
+    assert killed_ns - received[-1] < 1e9, "at most the last second is lost"
