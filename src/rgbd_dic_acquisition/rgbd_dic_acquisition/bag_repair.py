@@ -17,6 +17,7 @@ from mcap.writer import CompressionType, Writer
 
 from . import bag_metadata
 from .bag_metadata import Topic
+from .bag_reader import BagReader
 from .bag_writer import CHUNK_BYTES
 from .errors import BagError
 from .mcap_salvage import SalvagedFile
@@ -57,8 +58,7 @@ def repair_bag(path: Path, output: Path | None = None) -> Repair:
     for file in files:
         _count(file, topics)
     messages = sum(file.span.count for file in files)
-    has_metadata = path.is_file() or (path / bag_metadata.NAME).exists()
-    if has_metadata and all(file.is_whole for file in files):
+    if all(file.is_whole for file in files) and _opens(path):
         return Repair(None, messages, 0, 0)
     if not messages:
         raise BagError(f"{path} holds no whole chunk of messages: there is nothing that could be repaired")
@@ -81,6 +81,14 @@ def _mcap_files(path: Path) -> list[Path]:
     if not files:
         raise BagError(f"{path} is no .mcap file and holds none: give the directory of a bag, or the .mcap file itself")
     return sorted(files, key=lambda file: [(len(part), part) for part in re.split(r"(\d+)", file.name)])
+
+
+def _opens(path: Path) -> bool:
+    try:
+        with BagReader(path):
+            return path.is_file() or (path / bag_metadata.NAME).exists()
+    except BagError:
+        return False
 
 
 def _count(file: SalvagedFile, topics: dict[str, Topic]) -> None:
@@ -106,7 +114,7 @@ def _write(path: Path, files: list[SalvagedFile], output: Path, topics: dict[str
     for number, file in enumerate(files):
         target = output / f"{output.name}_{number}.mcap"
         spans[target.name] = file.span
-        if file.is_whole:
+        if file.is_whole and _opens(file.path):
             _link(file.path, target)
         else:
             _copy_messages(file, target)

@@ -103,6 +103,7 @@ class SalvagedFile:
 
     def _has_index(self, file: BinaryIO) -> bool:
         """Whether the file ends as it should, with an index of all its messages."""
+        file.seek(0)
         try:
             statistics = make_reader(file, validate_crcs=True).get_summary().statistics
         except Exception:  # damaged bytes raise almost anything

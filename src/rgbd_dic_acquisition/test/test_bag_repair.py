@@ -133,13 +133,13 @@ def test_a_damaged_chunk_is_left_out_and_the_rest_kept(whole, tmp_path):
 
 def test_a_damaged_index_is_made_anew(whole, tmp_path):
     _, data, sent, ends = whole
-    for k, at in enumerate(range(ends[-1][0] + 700, len(data), 400)):
+    for k, at in enumerate(range(ends[-1][0] + 700, len(data), 150)):
         damaged = bytearray(data)
         damaged[at : at + 4] = b"\xff" * 4
         file = tmp_path / f"{k}.mcap"
         file.write_bytes(damaged)
-        assert read(repair_bag(file).path) == sent
-    assert k > 10
+        assert read(repair_bag(file).path or file) == sent  # some bytes there mean nothing
+    assert k > 20
 
 
 def test_room_that_was_never_written_is_not_taken_for_messages(whole, tmp_path):
