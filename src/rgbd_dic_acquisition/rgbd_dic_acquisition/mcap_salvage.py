@@ -8,6 +8,7 @@ left out, as what is in it cannot be told from garbage.
 from __future__ import annotations
 
 import struct
+import zlib
 from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
@@ -16,7 +17,6 @@ from typing import BinaryIO
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.reader import make_reader
 from mcap.records import Channel, Chunk, McapRecord, Message, Schema
 from mcap.stream_reader import breakup_chunk, get_chunk_data_stream
 
@@ -25,6 +25,7 @@ from .bag_reader import MAGIC
 
 LARGEST_CHUNK_BYTES = 1 << 30  # what a damaged file may promise before it is disbelieved
 _HEAD = struct.Struct("<BQ")  # opcode and length of every record
+_TAIL = struct.Struct("<QQI8s")  # where the index and its own index begin, its checksum, the magic bytes
 _READ = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK)
 
 
@@ -32,7 +33,7 @@ class SalvagedFile:
     """One .mcap file, only read. All but `path` is known once `messages` has been gone through.
 
     Attributes:
-        is_closed: whether its index is there, and names as many messages.
+        is_closed: whether its index and its end are there, as they were written.
         damaged_chunks: chunks that are there in full length, but not as they were written.
         lost_bytes: in damaged chunks and what depends on them, and from the cut on.
         compression: of its chunks: "", "zstd" or "lz4".
@@ -93,7 +94,7 @@ class SalvagedFile:
             if opcode == 0 or end > size:  # zeros, where a file system made room and nothing was written; or the cut
                 break
             if opcode == Opcode.DATA_END:
-                self.is_closed = self._has_index(file)
+                self.is_closed = self._has_index(file, size)
                 return
             if opcode in _READ:
                 yield opcode, file.read(length)
@@ -101,14 +102,13 @@ class SalvagedFile:
             file.seek(whole_to)
         self.lost_bytes += size - whole_to
 
-    def _has_index(self, file: BinaryIO) -> bool:
-        """Whether the file ends as it should, with an index of all its messages."""
-        file.seek(0)
-        try:
-            statistics = make_reader(file, validate_crcs=True).get_summary().statistics
-        except Exception:  # damaged bytes raise almost anything
-            return False
-        return statistics is not None and statistics.message_count == self.span.count
+    def _has_index(self, file: BinaryIO, size: int) -> bool:
+        """Whether the file ends as it should, and its index is as it was written."""
+        file.seek(max(0, size - _TAIL.size))
+        tail = file.read()
+        summary_at, _, checksum, magic = _TAIL.unpack(tail) if len(tail) == _TAIL.size else (0, 0, 0, b"")
+        file.seek(min(summary_at, size))
+        return magic == MAGIC and zlib.crc32(file.read()[: -len(MAGIC) - 4]) == checksum
 
 
 def _parsed(opcode: int, body: bytes) -> list[McapRecord]:

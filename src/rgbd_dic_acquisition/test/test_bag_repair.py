@@ -13,6 +13,7 @@ import yaml
 from mcap.reader import make_reader
 from rgbd_dic_acquisition.bag import BagReader, BagWriter, make_message
 from rgbd_dic_acquisition.bag_repair import repair_bag
+from rgbd_dic_acquisition.bag_writer import CHUNK_BYTES
 from rgbd_dic_acquisition.errors import BagError
 from rgbd_dic_acquisition.messages import stamp_to_ns
 from test_nodes import Processes
@@ -241,20 +242,19 @@ def test_a_recorder_that_is_killed_loses_at_most_its_last_chunk(tmp_path):
 
 
 def test_a_recorder_node_that_is_killed_in_flight(tmp_path):
-    """60 images a second of a simulated camera; the recorder gets SIGKILL, and what it wrote is repaired."""
+    """Images of a simulated camera; the recorder gets SIGKILL, and what it wrote is repaired."""
     processes = Processes(tmp_path)
     try:
         flight = tmp_path / "flight"
         topics = ["camera/image_raw sensor_msgs/msg/Image", "camera/camera_info sensor_msgs/msg/CameraInfo"]
         recorder = processes.node("recorder_node", output=str(flight), topics=topics)
         processes.node("camera_node")
-        file, end = flight / "flight_0.mcap", time.monotonic() + 60
-        while not file.exists() or file.stat().st_size < 8_000_000:
+        file, end = flight / "flight_0.mcap", time.monotonic() + 120
+        while not file.exists() or file.stat().st_size < 4_000_000:
             assert time.monotonic() < end, recorder.log.read_text()
             time.sleep(0.02)
         recorder.kill()
         recorder.wait()
-        killed_ns = time.time_ns()
     finally:
         processes.end()
     with pytest.raises(BagError, match=r"is cut short .*rgbd-dic info --repair"):
@@ -263,9 +263,10 @@ def test_a_recorder_node_that_is_killed_in_flight(tmp_path):
     repair = repair_bag(flight)
     assert file.read_bytes() == before
     with BagReader(repair.path) as bag:
-        received = [log_time for _, log_time, _ in bag.messages(["/camera/image_raw"])]
-        stamps = [stamp_to_ns(message.header.stamp) for *_, message in bag.messages(["/camera/image_raw"])]
-        assert bag.topics["/camera/camera_info"].count == pytest.approx(len(stamps), abs=10)
-    assert len(stamps) > 30
-    assert max(np.diff(stamps)) < 1.5e9 / 60, "none is missing in between"
-    assert killed_ns - received[-1] < 1e9, "at most the last second is lost"
+        images, infos = (
+            [stamp_to_ns(message.header.stamp) for *_, message in bag.messages([topic])]
+            for topic in ("/camera/image_raw", "/camera/camera_info")
+        )
+    assert len(images) > 15
+    assert images[:-1] == infos[: len(images) - 1], "none is missing in between"
+    assert repair.lost_bytes < CHUNK_BYTES + 480 * 360, "what was in the chunk that was being written"
