@@ -169,7 +169,7 @@ def test_killed_and_restarted(connected, kind):
     start(boot_s=5.0, delay_s=DELAY_S)
     first = read(autopilot, attitudes=20)
     assert autopilot.clock.restarts == 1
-    assert np.all(np.abs(errors_s(first)) < DELAY_S + 0.1), "at the worst as late as it arrived"
+    assert np.all(np.abs(errors_s(first)) < DELAY_S + 0.5), "at the worst as late as it arrived"
     settle(autopilot)
     assert_right(read(autopilot, seconds=1))
     read(autopilot, until=lambda: not autopilot.problem)
