@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+import re
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -46,11 +48,22 @@ def test_missing_bag(tmp_path: Path) -> None:
     assert "check the path" in refused("info", tmp_path / "nothing")
 
 
-def test_truncated(tmp_path: Path) -> None:
-    path = tmp_path / "cut.mcap"
-    path.write_bytes((SAMPLE / "sample_0.mcap").read_bytes()[:3_000_000])
-    message = refused("process", path, "--regions", SAMPLE / "regions.yaml", "--out", tmp_path / "out")
-    assert "cut.mcap is cut short" in message and "mcap recover" in message
+def test_truncated_and_repaired(tmp_path: Path) -> None:
+    bag = tmp_path / "cut"
+    bag.mkdir()
+    (bag / "cut_0.mcap").write_bytes((SAMPLE / "sample_0.mcap").read_bytes()[:3_000_000])
+    for name in ("regions.yaml", "calibration.yaml"):
+        shutil.copy(SAMPLE / name, bag)
+    message = refused("process", bag, "--out", tmp_path / "out")
+    assert "cut_0.mcap is cut short" in message and "rgbd-dic info --repair" in message
+    repaired = tmp_path / "whole"
+    done = rgbd_dic("info", "--repair", bag, "--out", repaired)
+    assert done.returncode == 0 and "/camera/image_raw" in done.stdout, done.stderr
+    assert re.search(rf"repaired: \d+ messages into {repaired}; lost: 0\.\d+ MB", done.stdout)
+    assert rgbd_dic("process", repaired, "--out", tmp_path / "out").returncode == 0
+    with BagReader(repaired) as reader:
+        assert len(rows(tmp_path / "out")) == reader.topics["/camera/image_raw"].count > 15
+    assert "exists already" in refused("info", "--repair", bag, "--out", repaired)
 
 
 @pytest.mark.parametrize("command", ["process", "up"])

@@ -45,8 +45,8 @@ class BagReader:
             self._reader.open()
         except Exception as error:  # damaged bytes raise almost anything
             raise BagError(
-                f"cannot read the bag {self.path}: {error}. If it is damaged, try `mcap recover IN.mcap -o "
-                "OUT.mcap`, or record it again"
+                f"cannot read the bag {self.path}: {error}. If it is damaged, try `rgbd-dic info --repair "
+                f"{self.path}`, or record it again"
             ) from error
         counts: dict[str, TopicInfo] = {}
         for connection in sorted(self._reader.connections, key=lambda item: item.topic):
@@ -124,7 +124,7 @@ class BagReader:
                 yield connection.topic, connection.msgtype, log_time_ns, bytes(data)
         except Exception as error:  # damaged bytes raise almost anything
             raise BagError(
-                f"{self.path} is damaged: {error}. Try `mcap recover IN.mcap -o OUT.mcap`, or record it again"
+                f"{self.path} is damaged: {error}. Try `rgbd-dic info --repair {self.path}`, or record it again"
             ) from error
 
     def close(self) -> None:
@@ -153,7 +153,7 @@ def _bag_at(path: Path) -> Path:
     if (path / "metadata.yaml").exists():
         return path
     if len(files) > 1:
-        raise BagError(f"{path} has no metadata.yaml: run `ros2 bag reindex {path}`, or give one .mcap file")
+        raise BagError(f"{path} has no metadata.yaml: run `rgbd-dic info --repair {path}`, or give one .mcap file")
     return files[0]
 
 
@@ -171,8 +171,8 @@ def _check_mcap(path: Path) -> None:
         )
     if tail != MAGIC or size < 2 * len(MAGIC):
         raise BagError(
-            f"{path} is cut short (no footer): the recording was not closed. Recover what is there with "
-            f"`mcap recover {path} -o OUT.mcap`, or record it again"
+            f"{path} is cut short (no footer): the recording was not closed. Make a new bag of what is there with "
+            "`rgbd-dic info --repair`"
         )
     _check_order(path)
     if path.suffix != ".mcap":

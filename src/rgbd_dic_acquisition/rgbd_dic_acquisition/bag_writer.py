@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import yaml
 from mcap.writer import CompressionType, Writer
 
+from . import bag_metadata
+from .bag_metadata import Span, Topic
 from .errors import BagError
 from .message_types import definition, serialise
 
@@ -56,9 +57,8 @@ class BagWriter:
         self._writer.start(profile="ros2", library="rgbd_dic")
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
-        self._topics: dict[str, dict[str, Any]] = {}
-        self._first_ns: int | None = None
-        self._last_ns = 0
+        self._topics: dict[str, Topic] = {}
+        self._span = Span()
         self.counts: dict[str, int] = {}
 
     def add_topic(self, name: str, typename: str, transient_local: bool = False, reliable: bool = True) -> None:
@@ -68,8 +68,8 @@ class BagWriter:
             BagError: the type is unknown, or the topic was added with another type.
         """
         if name in self._topics:
-            if self._topics[name]["type"] != typename:
-                raise BagError(f"topic {name} is {self._topics[name]['type']} already, not {typename}")
+            if self._topics[name].type != typename:
+                raise BagError(f"topic {name} is {self._topics[name].type} already, not {typename}")
             return
         text, type_hash = definition(typename)
         if typename not in self._schemas:
@@ -80,13 +80,7 @@ class BagWriter:
             "topic_type_hash": type_hash,
         }
         self._channels[name] = self._writer.register_channel(name, "cdr", self._schemas[typename], channel_metadata)
-        self._topics[name] = {
-            "name": name,
-            "type": typename,
-            "serialization_format": "cdr",
-            "offered_qos_profiles": qos,
-            "type_description_hash": type_hash,
-        }
+        self._topics[name] = Topic(name, typename, type_hash, qos)
         self.counts[name] = 0
 
     def write(self, topic: str, log_time_ns: int, serialized: bytes, publish_time_ns: int | None = None) -> None:
@@ -109,8 +103,7 @@ class BagWriter:
         except OSError as error:
             raise BagError(f"cannot write to the bag {self.path}: {error.strerror}") from error
         self.counts[topic] += 1
-        self._first_ns = log_time_ns if self._first_ns is None else min(self._first_ns, log_time_ns)
-        self._last_ns = max(self._last_ns, log_time_ns)
+        self._span.add(log_time_ns)
 
     def write_message(self, topic: str, log_time_ns: int, message: Any, publish_time_ns: int | None = None) -> None:
         """Serialise a message made by `make_message` and write it."""
@@ -125,8 +118,7 @@ class BagWriter:
             self._writer.add_metadata("rosbag2", {"serialized_metadata": yaml.safe_dump(information, sort_keys=False)})
             self._writer.finish()
             self._file.close()
-            text = yaml.safe_dump({"rosbag2_bagfile_information": information}, sort_keys=False)
-            (self.path / "metadata.yaml").write_text(text)
+            bag_metadata.write(self.path, information)
         except OSError as error:
             raise BagError(f"cannot finish the bag {self.path}: {error.strerror}") from error
 
@@ -137,26 +129,6 @@ class BagWriter:
         self.close()
 
     def _information(self) -> dict[str, Any]:
-        start_ns = self._first_ns or 0
-        span = {
-            "starting_time": {"nanoseconds_since_epoch": start_ns},
-            "duration": {"nanoseconds": max(0, self._last_ns - start_ns)},
-            "message_count": sum(self.counts.values()),
-        }
-        name = f"{self.path.name}_0.mcap"
-        information = {
-            "version": 9,
-            "storage_identifier": "mcap",
-            "relative_file_paths": [name],
-            **span,
-            "topics_with_message_count": [
-                {"topic_metadata": topic, "message_count": self.counts[topic["name"]]}
-                for topic in self._topics.values()
-            ],
-            "compression_format": "",
-            "compression_mode": "",
-            "files": [{"path": name, **span}],
-            "custom_data": None,
-            "ros_distro": "jazzy",
-        }
-        return json.loads(json.dumps(information))  # separate copies, so that the YAML has no anchors
+        for name, topic in self._topics.items():
+            topic.count = self.counts[name]
+        return bag_metadata.information({Path(self._file.name).name: self._span}, list(self._topics.values()))

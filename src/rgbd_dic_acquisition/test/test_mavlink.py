@@ -14,14 +14,9 @@ import numpy as np
 import pytest
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import common as mavlink
-from rgbd_dic_acquisition.drivers.mavlink import (
-    Attitude,
-    Autopilot,
-    MavlinkSettings,
-    SystemTime,
-    enu_flu_from_ned_frd,
-    quaternion_from_rpy,
-)
+from rgbd_dic_acquisition.drivers.attitude import enu_flu_from_ned_frd, quaternion_from_rpy
+from rgbd_dic_acquisition.drivers.autopilot_readings import Attitude, SystemTime
+from rgbd_dic_acquisition.drivers.mavlink import Autopilot, MavlinkSettings
 from rgbd_dic_acquisition.errors import SettingsError
 from scipy.spatial.transform import Rotation
 
@@ -159,7 +154,7 @@ def test_garbage_between_messages_costs_none_of_them(udp):
         peer.port.sendto(
             bytes([rng.choice([0xFD, 0xFE, 0x55])]) + rng.randbytes(rng.randrange(400)), peer.destination_addr
         )
-        peer.mav.attitude_send(10 * k, 0, 0, 0, 0, 0, 0)
+        peer.mav.attitude_send(10 * k + 10, 0, 0, 0, 0, 0, 0)
         if k % 20 == 19:
             time.sleep(0.01)
             autopilot.read()
@@ -174,7 +169,7 @@ def test_a_restarted_autopilot_gets_a_new_clock(udp):
         peer.mav.attitude_send(boot_ms, 0, 0, 0, 0, 0, 0)
         time.sleep(0.02)
         autopilot.read()
-    assert autopilot.clock_restarts == 1
+    assert autopilot.clock.restarts == 1
     assert autopilot.counts["attitude"] == 4
 
 
@@ -210,7 +205,7 @@ def test_tcp_comes_late_goes_and_comes_back():
                 autopilot.read()
                 with contextlib.suppress(BlockingIOError):
                     connection = server.accept()[0]
-            packed = [sender.attitude_encode(1000 * k + i, 0, 0, 0, 0, 0, 0).pack(sender) for i in range(4)]
+            packed = [sender.attitude_encode(1000 * k + i + 1, 0, 0, 0, 0, 0, 0).pack(sender) for i in range(4)]
             connection.sendall(b"\xfd\x07" + packed[0][:9] + packed[0][:5])  # garbage, and cut in the middle
             connection.sendall(packed[0][5:] + b"".join(packed[1:]))
             assert len(_read(autopilot, 4)) == 4

@@ -24,7 +24,7 @@ from pymavlink import mavutil
 from rclpy.executors import SingleThreadedExecutor
 from rgbd_dic_acquisition.bag import BagReader, BagWriter, make_message
 from rgbd_dic_acquisition.calibration import Camera
-from rgbd_dic_acquisition.drivers.mavlink import enu_flu_from_ned_frd, quaternion_from_rpy
+from rgbd_dic_acquisition.drivers.attitude import enu_flu_from_ned_frd, quaternion_from_rpy
 from rgbd_dic_acquisition.in_flight import header_stamp_ns
 from rgbd_dic_acquisition.message_types import serialise
 from rgbd_dic_acquisition.messages import (

@@ -1,13 +1,17 @@
-"""Links that carry bytes to and from an autopilot, over UDP, TCP and serial lines; none of them waits."""
+"""Links that carry bytes to and from an autopilot, over UDP, TCP and serial lines; only `wait` waits.
+
+None listens but `udpin`, and that on the address that is given; so 127.0.0.1 keeps it to this computer.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import os
+import select
 import socket
 import termios
 import tty
-from typing import Protocol
+from typing import NamedTuple, Protocol
 from urllib.parse import urlsplit
 
 from ..errors import SettingsError
@@ -15,6 +19,13 @@ from ..errors import SettingsError
 # At most this much is taken from a link at a time, so that a flood cannot hold up the rest of the node.
 READ_BYTES = 16 * 1024
 FORMS = "udpin://HOST:PORT, udpout://HOST:PORT, tcp://HOST:PORT or serial:///dev/NAME:BAUD"
+
+
+class Piece(NamedTuple):
+    """Bytes that came together, and the address they came from where a link has several."""
+
+    data: bytes
+    sender: tuple[str, int] | None = None
 
 
 class ByteLink(Protocol):
@@ -28,7 +39,9 @@ class ByteLink(Protocol):
     keeps_boundaries: bool
     notices_loss: bool
 
-    def read(self) -> list[bytes]:
+    def fileno(self) -> int: ...
+
+    def read(self) -> list[Piece]:
         """What has come since the last call, in the pieces in which it came.
 
         Raises:
@@ -42,11 +55,37 @@ class ByteLink(Protocol):
             OSError: the link is gone.
         """
 
+    def answer(self, sender: tuple[str, int] | None) -> None:
+        """Write to this sender from now on."""
+
     def close(self) -> None: ...
 
 
-class UdpLink:
-    """Datagrams: listens on an address and answers whoever spoke last, or speaks to a fixed address."""
+def wait(link: ByteLink, timeout_s: float) -> None:
+    """Until there is something to read, at most so long."""
+    if timeout_s > 0:
+        poll = select.poll()  # select() itself refuses descriptors above 1023
+        poll.register(link.fileno(), select.POLLIN)
+        poll.poll(timeout_s * 1000)
+
+
+class _SocketLink:
+    """What UDP and TCP share."""
+
+    _socket: socket.socket
+
+    def fileno(self) -> int:
+        return self._socket.fileno()
+
+    def answer(self, sender: tuple[str, int] | None) -> None:
+        """There is but one to write to."""
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+class UdpLink(_SocketLink):
+    """Datagrams: to and from one address, or listening on one and writing to the sender that `answer` names."""
 
     keeps_boundaries = True
     notices_loss = False
@@ -54,44 +93,40 @@ class UdpLink:
     def __init__(self, host: str, port: int, listen: bool) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
+        self._listens = listen
         self._peer: tuple[str, int] | None = None
         try:
             if listen:
                 self._socket.bind((host, port))
             else:
-                self._peer = (socket.gethostbyname(host), port)
+                self._socket.connect((host, port))  # the kernel then drops what others send
         except OSError:
             self._socket.close()
             raise
-        self._listen = listen
 
-    def read(self) -> list[bytes]:
-        pieces: list[bytes] = []
+    def read(self) -> list[Piece]:
+        pieces: list[Piece] = []
         received = 0
         while received < READ_BYTES:
             try:
-                data, sender = self._socket.recvfrom(65535)
+                pieces.append(Piece(*self._socket.recvfrom(65535)))
             except (BlockingIOError, ConnectionRefusedError):
                 break
-            received += max(len(data), 64)  # empty datagrams count too
-            if self._listen:
-                self._peer = sender
-            elif sender != self._peer:
-                continue
-            pieces.append(data)
+            received += max(len(pieces[-1].data), 64)  # empty datagrams count too
         return pieces
 
     def write(self, data: bytes) -> None:
-        if self._peer is None:
-            return
         with contextlib.suppress(BlockingIOError, ConnectionRefusedError):  # nobody listens there yet
-            self._socket.sendto(data, self._peer)
+            if not self._listens:
+                self._socket.send(data)
+            elif self._peer is not None:
+                self._socket.sendto(data, self._peer)
 
-    def close(self) -> None:
-        self._socket.close()
+    def answer(self, sender: tuple[str, int] | None) -> None:
+        self._peer = sender
 
 
-class TcpLink:
+class TcpLink(_SocketLink):
     """A TCP connection to a server."""
 
     keeps_boundaries = False
@@ -100,6 +135,7 @@ class TcpLink:
     def __init__(self, host: str, port: int) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         self._socket.setblocking(False)
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # a request must not wait for the next
         try:
             self._socket.connect((host, port))
         except BlockingIOError:
@@ -108,21 +144,20 @@ class TcpLink:
             self._socket.close()
             raise
 
-    def read(self) -> list[bytes]:
+    def read(self) -> list[Piece]:
         try:
             data = self._socket.recv(READ_BYTES)
         except BlockingIOError:
             return []
         if not data:
             raise ConnectionResetError("the other side has closed the connection")
-        return [data]
+        # Linux falls back to late acknowledgements by itself. With those, who sends without TCP_NODELAY sends late.
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 1)
+        return [Piece(data)]
 
     def write(self, data: bytes) -> None:
         with contextlib.suppress(BlockingIOError):
             self._socket.send(data)
-
-    def close(self) -> None:
-        self._socket.close()
 
 
 class SerialLink:
@@ -144,14 +179,20 @@ class SerialLink:
             os.close(self._fd)
             raise OSError(f"{device} is not a serial line: {error}") from error
 
-    def read(self) -> list[bytes]:
+    def fileno(self) -> int:
+        return self._fd
+
+    def answer(self, sender: tuple[str, int] | None) -> None:
+        """There is but one to write to."""
+
+    def read(self) -> list[Piece]:
         try:
             data = os.read(self._fd, READ_BYTES)
         except BlockingIOError:
             return []
         if not data:
             raise ConnectionResetError("the serial line was unplugged")
-        return [data]
+        return [Piece(data)]
 
     def write(self, data: bytes) -> None:
         with contextlib.suppress(BlockingIOError):

@@ -1,29 +1,26 @@
-"""Attitude and time of an autopilot over MAVLink."""
+"""One autopilot over MAVLink: the link, what is sent to it, and whether all is well."""
 
 from __future__ import annotations
 
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from ..clock import HostClock
 from ..settings import Settings, setting
-from .byte_links import ByteLink, check_url, open_link
+from .autopilot_clock import AutopilotClock
+from .autopilot_readings import PREFER_QUATERNION_S, Attitude, AutopilotReadings, SystemTime
+from .byte_links import ByteLink, Piece, check_url, open_link, wait
+from .mavlink_codec import BAD_DATA, MavlinkCodec
 
-Quaternion = tuple[float, float, float, float]  # w, x, y, z
-Vector = tuple[float, float, float]
-
-MARKERS = (mavlink.PROTOCOL_MARKER_V1, mavlink.PROTOCOL_MARKER_V2)
 HEARTBEAT_S = 1.0
 REOPEN_S = 1.0
-# How long ATTITUDE is left aside after an ATTITUDE_QUATERNION.
-PREFER_QUATERNION_S = 1.0
-NED_TO_ENU: Quaternion = (0.0, math.sqrt(0.5), math.sqrt(0.5), 0.0)
-FLU_TO_FRD: Quaternion = (0.0, 1.0, 0.0, 0.0)
+ASK_S = 5.0  # between requests for a rate that does not come
+# Attitude is missing after so many of its own periods and so long.
+MISSED_PERIODS, MISSED_S = 3, 0.2
 
 
 @dataclass(frozen=True)
@@ -43,85 +40,67 @@ class MavlinkSettings(Settings):
         low=0.2,
         high=60.0,
     )
+    attitude_rate_hz: float = setting(
+        0.0,
+        doc="rate of ATTITUDE_QUATERNION to ask the autopilot for; 0 takes what it sends by itself",
+        unit="Hz",
+        low=0.0,
+        high=400.0,
+    )
+    timesync_rate_hz: float = setting(
+        10.0,
+        doc="rate of TIMESYNC requests; 0 sends none, and stamps go by the arrival of messages alone",
+        unit="Hz",
+        low=0.0,
+        high=100.0,
+    )
+    timesync_round_trip_s: float = setting(
+        0.05, doc="longest round trip of a TIMESYNC request that is used", unit="s", low=0.001, high=1.0
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
         check_url(self.url)
 
 
-@dataclass(frozen=True)
-class Attitude:
-    """How the vehicle is turned.
-
-    Attributes:
-        stamp_ns: host time of the measurement [ns since the epoch].
-        uncertainty_ns: standard uncertainty of the stamp [ns]; infinite while the clocks are being compared.
-        orientation_xyzw: R_world_body, world east-north-up, body forward-left-up.
-        angular_velocity: of the body in its own axes, forward-left-up [rad/s]; None if not known.
-    """
-
-    stamp_ns: int
-    uncertainty_ns: float
-    orientation_xyzw: Quaternion
-    angular_velocity: Vector | None
-
-
-@dataclass(frozen=True)
-class SystemTime:
-    """The autopilot's idea of UTC, `unix_ns`, at the host time `stamp_ns` [ns since the epoch]."""
-
-    stamp_ns: int
-    unix_ns: int
-
-
 class Autopilot:
-    """Reads one autopilot, never blocks, and opens its link again by itself when that is lost.
+    """Reads one autopilot, and opens its link again by itself when that is lost.
 
     Attributes:
-        counts: messages by what became of them: "attitude", "system_time", "other", "garbage" or "invalid";
-            and how often the link was "reopened".
-        problem: why nothing comes, in words; empty while all is well.
+        counts: messages by what became of them: "attitude", "system_time", "timesync", "heartbeat", "other",
+            "garbage" or "invalid"; and how often the link was "reopened".
+        problem: what is missing, in words; empty while all is well.
+        clock: how the autopilot's time becomes host time.
     """
 
     def __init__(self, settings: MavlinkSettings, now_ns: Callable[[], int] = time.time_ns) -> None:
         self.counts: Counter[str] = Counter()
         self.problem = "nothing heard yet"
+        self.clock = AutopilotClock(round(settings.timesync_round_trip_s * 1e9))
         self._settings = settings
         self._now_ns = now_ns
-        self._clock = HostClock(resolution_ns=1_000_000)
-        self._system = settings.system_id
+        self._readings = AutopilotReadings(settings.system_id, self.clock, self.counts)
         self._link: ByteLink | None = None
-        self._parser = self._new_parser()
-        self._open_at = self._heartbeat_at = time.monotonic()
-        self._heard_at = self._quaternion_at = -math.inf
+        self._open_at = self._heartbeat_at = self._timesync_at = self._ask_at = time.monotonic()
 
-    @property
-    def clock_restarts(self) -> int:
-        """How often the autopilot's time has jumped back: it was restarted."""
-        return self._clock.restarts
-
-    def read(self) -> list[Attitude | SystemTime]:
-        """What has come since the last call, in the order of arrival."""
+    def read(self, timeout_s: float = 0.0) -> list[Attitude | SystemTime]:
+        """What has come since the last call, in the order of arrival; waits at most so long if nothing has."""
         now = time.monotonic()
         try:
             if self._link is None:
                 if now < self._open_at:
+                    time.sleep(min(timeout_s, self._open_at - now))
                     return []
                 self._open(now)
+            self._speak(now)
+            wait(self._link, timeout_s)
             pieces = self._link.read()
-            if now >= self._heartbeat_at:
-                self._heartbeat_at = now + HEARTBEAT_S
-                self._link.write(self._heartbeat())
         except OSError as error:
             self._lose(f"link {self._settings.url} is down: {error}")
             return []
         arrival_ns = self._now_ns()
-        readings = [reading for piece in pieces for reading in self._parse(piece, arrival_ns)]
-        silent_s = now - self._heard_at
-        if silent_s > self._settings.silence_s and math.isfinite(silent_s):
-            self.problem = f"nothing heard for {silent_s:.1f} s on {self._settings.url}"
-            if self._link.notices_loss and now - self._opened_at > self._settings.silence_s:
-                self._lose(self.problem)
+        readings = [reading for piece in pieces for reading in self._take(piece, arrival_ns)]
+        self._assess(time.monotonic())
         return readings
 
     def close(self) -> None:
@@ -133,7 +112,7 @@ class Autopilot:
         self._open_at = now + REOPEN_S
         self._link = open_link(self._settings.url)
         self._opened_at = now
-        self._parser = self._new_parser()
+        self._codec = MavlinkCodec(self._settings.own_system_id)
 
     def _lose(self, problem: str) -> None:
         self.close()
@@ -141,113 +120,61 @@ class Autopilot:
         self.problem = problem
         self._open_at = max(self._open_at, time.monotonic() + REOPEN_S / 10)
 
-    def _new_parser(self) -> mavlink.MAVLink:
-        parser = mavlink.MAVLink(None, self._settings.own_system_id, mavlink.MAV_COMP_ID_ONBOARD_COMPUTER)
-        parser.robust_parsing = True
-        return parser
+    def _take(self, piece: Piece, arrival_ns: int) -> list[Attitude | SystemTime]:
+        readings = []
+        for message in self._codec.messages(piece.data, self._link.keeps_boundaries):
+            if message.get_type() == BAD_DATA:
+                self.counts["garbage"] += 1
+            elif self._readings.is_from_autopilot(message):
+                self._link.answer(piece.sender)
+                reading = self._readings.take(message, arrival_ns)
+                readings += [] if reading is None else [reading]
+        return readings
 
-    def _heartbeat(self) -> bytes:
-        message = self._parser.heartbeat_encode(
-            mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE
-        )
-        packed = message.pack(self._parser)
-        self._parser.seq = (self._parser.seq + 1) % 256
-        return packed
+    def _speak(self, now: float) -> None:
+        """Say that we are here; ask for the time, and for attitude if it comes too seldom."""
+        if now >= self._heartbeat_at:
+            self._heartbeat_at = now + HEARTBEAT_S
+            kind, version = mavlink.MAV_TYPE_ONBOARD_CONTROLLER, int(mavlink.WIRE_PROTOCOL_VERSION[0])
+            no_autopilot, active = mavlink.MAV_AUTOPILOT_INVALID, mavlink.MAV_STATE_ACTIVE
+            self._send(mavlink.MAVLink_heartbeat_message(kind, no_autopilot, 0, 0, active, version))
+        if now - self._readings.heard_at > self._settings.silence_s:
+            return
+        if self._settings.timesync_rate_hz and now >= self._timesync_at:
+            self._timesync_at = now + 1 / self._settings.timesync_rate_hz
+            self._send(mavlink.MAVLink_timesync_message(0, self.clock.timesync.request(self._now_ns())))
+        if now >= self._ask_at and self._is_too_seldom(now):
+            self._ask_at = now + ASK_S
+            autopilot = (self._readings.system, mavlink.MAV_COMP_ID_AUTOPILOT1)
+            interval_us = 1e6 / self._settings.attitude_rate_hz
+            arguments = (mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION, interval_us, 0, 0, 0, 0, 0)
+            command = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
+            self._send(mavlink.MAVLink_command_long_message(*autopilot, command, 0, *arguments))
 
-    def _parse(self, piece: bytes, arrival_ns: int) -> list[Attitude | SystemTime]:
-        readings = (self._take(message, arrival_ns) for message in self._messages(piece))
-        return [reading for reading in readings if reading is not None]
+    def _is_too_seldom(self, now: float) -> bool:
+        wanted_hz = self._settings.attitude_rate_hz
+        is_missing = now - self._readings.quaternion_at > PREFER_QUATERNION_S
+        return wanted_hz > 0 and (is_missing or self._readings.period_s * wanted_hz > 1.25)
 
-    def _messages(self, piece: bytes) -> Iterator[mavlink.MAVLink_message]:
-        parser = self._parser
-        message = parser.parse_char(piece)
-        while message is not None:
-            yield message
-            frame = bytes(message.get_msgbuf()) if message.get_type() != "BAD_DATA" else bytes(message.data)
-            if self._is_false_start(message, frame):
-                # The parser has skipped as many bytes as garbage promised; look for messages among them.
-                parser.buf[: parser.buf_index] = frame[1:]
-                parser.buf_index = 0
-            message = parser.parse_char(b"")
-        del parser.buf[: parser.buf_index]
-        parser.buf_index = 0
-        if self._link.keeps_boundaries:
-            parser.buf.clear()
+    def _send(self, message: mavlink.MAVLink_message) -> None:
+        self._link.write(self._codec.pack(message))
 
-    def _is_false_start(self, message: mavlink.MAVLink_message, frame: bytes) -> bool:
-        if message.get_type() == "BAD_DATA":
-            return frame[0] in MARKERS
-        if not message.get_type().startswith("UNKNOWN"):
-            return False
-        following = self._parser.buf[self._parser.buf_index :][:1]
-        return len(following) == 1 and following[0] not in MARKERS  # it has no known checksum
-
-    def _take(self, message: mavlink.MAVLink_message, arrival_ns: int) -> Attitude | SystemTime | None:
-        kind = message.get_type()
-        if kind == "BAD_DATA":
-            self.counts["garbage"] += 1
-            return None
-        if message.get_srcComponent() != mavlink.MAV_COMP_ID_AUTOPILOT1:
-            return None
-        self._system = self._system or message.get_srcSystem()
-        if message.get_srcSystem() != self._system:
-            return None
-        now = time.monotonic()
-        self._heard_at = now
-        self.problem = ""
-        if kind == "ATTITUDE_QUATERNION":
-            self._quaternion_at = now
-            return self._attitude(message, (message.q1, message.q2, message.q3, message.q4), arrival_ns)
-        if kind == "ATTITUDE" and now - self._quaternion_at > PREFER_QUATERNION_S:
-            angles = (message.roll, message.pitch, message.yaw)
-            return self._attitude(message, quaternion_from_rpy(*angles), arrival_ns)
-        if kind == "SYSTEM_TIME":
-            self.counts["system_time"] += 1
-            stamp = self._clock.stamp(message.time_boot_ms * 1_000_000, arrival_ns)
-            unix_ns = message.time_unix_usec * 1000
-            return SystemTime(stamp.stamp_ns, unix_ns) if unix_ns else None
-        self.counts["other"] += 1
-        return None
-
-    def _attitude(self, message: mavlink.MAVLink_message, q_ned_frd: Quaternion, arrival_ns: int) -> Attitude | None:
-        norm = math.hypot(*q_ned_frd)
-        if not abs(norm - 1) < 0.01:  # also true of NaN
-            self.counts["invalid"] += 1
-            return None
-        self.counts["attitude"] += 1
-        stamp = self._clock.stamp(message.time_boot_ms * 1_000_000, arrival_ns)
-        w, x, y, z = enu_flu_from_ned_frd(q_ned_frd)
-        rates = (message.rollspeed, -message.pitchspeed, -message.yawspeed)
-        return Attitude(
-            stamp.stamp_ns,
-            stamp.uncertainty_ns,
-            (x / norm, y / norm, z / norm, w / norm),
-            rates if all(map(math.isfinite, rates)) else None,
-        )
-
-
-def enu_flu_from_ned_frd(q: Quaternion) -> Quaternion:
-    """R_world_body from north-east-down and forward-right-down to east-north-up and forward-left-up.
-
-    As mavros has it: NED_ENU_Q * q * AIRCRAFT_BASELINK_Q, each side turned by its static rotation.
-    """
-    return _product(_product(NED_TO_ENU, q), FLU_TO_FRD)
-
-
-def quaternion_from_rpy(roll: float, pitch: float, yaw: float) -> Quaternion:
-    """Rz(yaw) Ry(pitch) Rx(roll); angles in radians."""
-    about_x = (math.cos(roll / 2), math.sin(roll / 2), 0.0, 0.0)
-    about_y = (math.cos(pitch / 2), 0.0, math.sin(pitch / 2), 0.0)
-    about_z = (math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2))
-    return _product(_product(about_z, about_y), about_x)
-
-
-def _product(a: Quaternion, b: Quaternion) -> Quaternion:
-    aw, ax, ay, az = a
-    bw, bx, by, bz = b
-    return (
-        aw * bw - ax * bx - ay * by - az * bz,
-        aw * bx + ax * bw + ay * bz - az * by,
-        aw * by - ax * bz + ay * bw + az * bx,
-        aw * bz + ax * by - ay * bx + az * bw,
-    )
+    def _assess(self, now: float) -> None:
+        """State what is missing, the worst first; give up a link that is silent."""
+        silent_s, missing_s = now - self._readings.heard_at, now - self._readings.attitude_at
+        period_s = self._readings.period_s
+        if math.isinf(silent_s):
+            self.problem = "nothing heard yet"
+        elif silent_s > self._settings.silence_s:
+            self.problem = f"nothing heard for {silent_s:.1f} s on {self._settings.url}"
+            if self._link.notices_loss and now - self._opened_at > self._settings.silence_s:
+                self._lose(self.problem)
+        elif math.isinf(missing_s):
+            self.problem = (
+                "the autopilot is heard, but no ATTITUDE_QUATERNION and no ATTITUDE that can be used: have it send "
+                "one, or ask for it with link.attitude_rate_hz"
+            )
+        elif missing_s > MISSED_PERIODS * period_s + MISSED_S:
+            self.problem = f"no attitude for {missing_s:.1f} s; it came every {period_s:.3f} s"
+        else:
+            self.problem = self.clock.problem if self._settings.timesync_rate_hz else ""

@@ -10,7 +10,8 @@ import numpy as np
 from rclpy.node import Node
 from sensor_msgs.msg import Imu, TimeReference
 
-from ..drivers.mavlink import Attitude, Autopilot, MavlinkSettings, SystemTime
+from ..drivers.autopilot_readings import Attitude, SystemTime
+from ..drivers.mavlink import Autopilot, MavlinkSettings
 from ..messages import header_message, imu_message, stamp_message
 from ..settings import setting
 from .diagnostics import Diagnostics
@@ -18,7 +19,8 @@ from .parameters import declare
 from .ros_messages import QosSettings, image_qos, make
 from .spinning import run
 
-POLL_S = 0.005
+# The longest wait for the autopilot [s]: how late timers and signals may be.
+WAIT_S = 0.02
 
 
 @dataclass(frozen=True)
@@ -41,23 +43,26 @@ class MavlinkNode(Node):
         self._autopilot = Autopilot(declare(self, MavlinkSettings, "link"))
         self._diagnostics = Diagnostics(self)
         self._counted: Counter[str] = Counter()
+        self._restarts = 0
+        self._uncertainty_ms = float("inf")
         qos = image_qos(self._settings)
         self._imu = self._diagnostics.watch(self.create_publisher(Imu, "imu/data", qos))
         self._time = self._diagnostics.watch(self.create_publisher(TimeReference, "autopilot/time_reference", qos))
 
     def work(self) -> Iterator[float]:
-        """Poll the link and publish what has come."""
+        """Wait for the autopilot, so that the arrival is known at once, and publish what has come."""
         while True:
-            for reading in self._autopilot.read():
+            for reading in self._autopilot.read(WAIT_S):
                 self._publish(reading)
             self._report()
-            yield POLL_S
+            yield 0.0
 
     def close(self) -> None:
         self._autopilot.close()
 
     def _publish(self, reading: Attitude | SystemTime) -> None:
         if isinstance(reading, Attitude):
+            self._uncertainty_ms = reading.uncertainty_ns * 1e-6
             message = imu_message(
                 make,
                 reading.stamp_ns,
@@ -80,6 +85,15 @@ class MavlinkNode(Node):
         for name, count in (self._autopilot.counts - self._counted).items():
             self._diagnostics.count(name, count)
         self._counted = Counter(self._autopilot.counts)
+        clock = self._autopilot.clock
+        if clock.restarts != self._restarts:
+            self._restarts = clock.restarts
+            self.get_logger().warning("the autopilot was restarted; its clock is compared anew")
+        self._diagnostics.tell("restarts of the autopilot", str(clock.restarts))
+        self._diagnostics.tell("stamps by", "TIMESYNC" if clock.is_synchronised else "arrival")
+        self._diagnostics.tell("uncertainty of the stamps [ms]", f"{self._uncertainty_ms:.2f}")
+        self._diagnostics.tell("shortest delivery taken off [ms]", f"{clock.delivery_ns * 1e-6:.2f}")
+        self._diagnostics.tell("round trip of TIMESYNC [ms]", f"{clock.timesync.round_trip_ns * 1e-6:.2f}")
         if self._autopilot.problem:
             self._diagnostics.warn(self._autopilot.problem)
         else:

@@ -1,0 +1,128 @@
+"""An autopilot on the MAVLink implementation of MAVSDK, which shares no code with pymavlink.
+
+It flies `flight_truth`, counts its own time from its start with a drift, sends attitude and time late by a fixed
+delay as one that has much else to do, answers TIMESYNC at once, and sets the rate of ATTITUDE_QUATERNION when it is
+told to.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import signal
+import threading
+import time
+from collections import deque
+
+from flight_truth import PITCH_RAD, ROLL_RAD, YAW_RATE_RAD_S, yaw_rad
+from mavsdk import ComponentType, Configuration, Mavsdk
+from mavsdk.plugins.mavlink_direct_server import MavlinkDirectServer, MavlinkMessage
+
+SET_MESSAGE_INTERVAL, ATTITUDE_QUATERNION, ACCEPTED = 511, 31, 0
+
+
+class Autopilot:
+    def __init__(self, options: argparse.Namespace) -> None:
+        self.options = options
+        self.start_ns = time.time_ns()
+        self.rate_hz = options.rate_hz
+        configuration = Configuration.create_with_component_type(ComponentType.AUTOPILOT)
+        self.mavsdk = Mavsdk(configuration)
+        self.mavsdk.add_any_connection_with_handle(options.url)
+        self.server = MavlinkDirectServer(self.mavsdk.server_component_by_type(ComponentType.AUTOPILOT))
+        self.server.subscribe_message("TIMESYNC", self.answer_timesync)
+        self.server.subscribe_command(SET_MESSAGE_INTERVAL, self.set_interval)
+
+    def boot_ns(self, host_ns: int) -> int:
+        elapsed_ns = host_ns - self.start_ns
+        return round(self.options.boot_s * 1e9 + elapsed_ns + elapsed_ns * self.options.drift)
+
+    def send(self, name: str, **fields: object) -> None:
+        self.server.send_message(MavlinkMessage(message_name=name, fields_json=json.dumps(fields)))
+
+    def answer_timesync(self, message: MavlinkMessage, _: object) -> None:
+        received_ns = time.time_ns()
+        fields = json.loads(message.fields_json)
+        if int(fields["tc1"]) == 0:
+            sender = {"target_system": message.system_id, "target_component": message.component_id}
+            self.send("TIMESYNC", tc1=self.boot_ns(received_ns), ts1=int(fields["ts1"]), **sender)
+
+    def set_interval(self, message: MavlinkMessage, _: object) -> None:
+        fields = json.loads(message.fields_json)
+        if int(fields["param1"]) == ATTITUDE_QUATERNION:
+            self.rate_hz = 1e6 / float(fields["param2"])
+        sender = {"target_system": message.system_id, "target_component": message.component_id}
+        self.send("COMMAND_ACK", command=SET_MESSAGE_INTERVAL, result=ACCEPTED, **sender)
+
+    def attitude(self, host_ns: int) -> tuple[str, dict[str, object]]:
+        boot_ms = self.boot_ns(host_ns) // 1_000_000
+        yaw = math.remainder(yaw_rad(host_ns), 2 * math.pi)
+        rates = body_rates()
+        if self.options.message == "ATTITUDE":
+            angles = {"roll": ROLL_RAD, "pitch": PITCH_RAD, "yaw": yaw}
+            return "ATTITUDE", {"time_boot_ms": boot_ms, **angles, **rates}
+        q = dict(zip(("q1", "q2", "q3", "q4"), quaternion(ROLL_RAD, PITCH_RAD, yaw), strict=True))
+        return "ATTITUDE_QUATERNION", {"time_boot_ms": boot_ms, **q, **rates}
+
+    def system_time(self, host_ns: int) -> tuple[str, dict[str, object]]:
+        return "SYSTEM_TIME", {"time_unix_usec": host_ns // 1000, "time_boot_ms": self.boot_ns(host_ns) // 1_000_000}
+
+    def fly(self, stop: threading.Event) -> None:
+        waiting: deque[tuple[int, str, dict[str, object]]] = deque()
+        next_ns = next_time_ns = time.time_ns()
+        while not stop.is_set():
+            now_ns = time.time_ns()
+            send_ns = now_ns + round(self.options.delay_s * 1e9)
+            if self.rate_hz and now_ns >= next_ns:
+                next_ns = max(next_ns + round(1e9 / self.rate_hz), now_ns)
+                waiting.append((send_ns, *self.attitude(now_ns)))
+            if now_ns >= next_time_ns:
+                next_time_ns = max(next_time_ns + 10**9, now_ns)
+                waiting.append((send_ns, *self.system_time(now_ns)))
+            while waiting and waiting[0][0] <= now_ns:
+                _, name, fields = waiting.popleft()
+                self.send(name, **fields)
+            time.sleep(0.0005)
+
+
+def body_rates() -> dict[str, float]:
+    """Of a turn about the vertical, in the forward-right-down axes of the tilted body [rad/s]."""
+    return {
+        "rollspeed": -math.sin(PITCH_RAD) * YAW_RATE_RAD_S,
+        "pitchspeed": math.sin(ROLL_RAD) * math.cos(PITCH_RAD) * YAW_RATE_RAD_S,
+        "yawspeed": math.cos(ROLL_RAD) * math.cos(PITCH_RAD) * YAW_RATE_RAD_S,
+    }
+
+
+def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
+    """w, x, y, z as MAVLink's mavlink_euler_to_quaternion has it."""
+    cr, sr = math.cos(roll / 2), math.sin(roll / 2)
+    cp, sp = math.cos(pitch / 2), math.sin(pitch / 2)
+    cy, sy = math.cos(yaw / 2), math.sin(yaw / 2)
+    return (
+        cr * cp * cy + sr * sp * sy,
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("url", help="as MAVSDK has it: udpout://, tcpin:// or serial://")
+    parser.add_argument("--message", default="ATTITUDE_QUATERNION", choices=("ATTITUDE_QUATERNION", "ATTITUDE"))
+    parser.add_argument("--rate-hz", type=float, default=50.0, help="of attitude, until it is told another")
+    parser.add_argument("--delay-s", type=float, default=0.0, help="from an attitude to its sending")
+    parser.add_argument("--boot-s", type=float, default=100.0, help="its own time at the start")
+    parser.add_argument("--drift", type=float, default=50e-6)
+    autopilot = Autopilot(parser.parse_args())
+    stop = threading.Event()
+    signal.signal(signal.SIGTERM, lambda *_: stop.set())
+    print("flying", flush=True)
+    autopilot.fly(stop)
+    autopilot.mavsdk.destroy()
+
+
+if __name__ == "__main__":
+    main()
