@@ -12,7 +12,7 @@ from rgbd_dic_acquisition.calibration import load_calibration
 from rgbd_dic_acquisition.errors import RgbdDicError
 
 from ..core.crack import CrackOpening
-from ..core.regions import load_regions
+from ..core.regions_file import load_regions
 from ..graph import (
     SENSOR_TOPICS,
     GraphFiles,

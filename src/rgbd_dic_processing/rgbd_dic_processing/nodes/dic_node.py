@@ -9,7 +9,7 @@ from functools import partial
 
 from rclpy.node import Node
 from rgbd_dic_acquisition.calibration import Camera
-from rgbd_dic_acquisition.errors import ImageError, MeasurementError
+from rgbd_dic_acquisition.errors import ImageError, MeasurementError, RgbdDicError
 from rgbd_dic_acquisition.messages import image_from_message, stamp_to_ns
 from rgbd_dic_acquisition.nodes.diagnostics import Diagnostics
 from rgbd_dic_acquisition.nodes.parameters import declare, declare_path
@@ -20,9 +20,10 @@ from std_srvs.srv import Trigger
 
 from rgbd_dic_msgs.msg import Reference as ReferenceMessage
 from rgbd_dic_msgs.msg import SubsetField as SubsetFieldMessage
+from rgbd_dic_msgs.srv import SetRegions
 
 from ..core.correlation import CorrelationSettings
-from ..core.regions import load_regions
+from ..core.regions_file import entries_of_text, load_regions, regions_of
 from ..core.settings import RenewalSettings, SearchSettings
 from ..core.status import FrameStatus
 from ..core.tracking import SubsetTracking
@@ -54,6 +55,7 @@ class DicNode(Node):
             ("~/renew_keyframe", SubsetTracking.renew_keyframe, "the next good image becomes the keyframe"),
         ):
             self.create_service(Trigger, name, partial(self._ask, step, promise))
+        self.create_service(SetRegions, "~/set_regions", self._set_regions)
         self.create_subscription(Image, "camera/image_raw", self._image, qos)
 
     def _start(self, camera: Camera) -> None:
@@ -75,6 +77,26 @@ class DicNode(Node):
             response.message = str(error)
         return response
 
+    def _set_regions(self, request: SetRegions.Request, response: SetRegions.Response) -> SetRegions.Response:
+        try:
+            if self._tracking is None:
+                raise MeasurementError("there is no calibration yet")
+            regions = regions_of(entries_of_text(request.regions))
+            stamp_ns, image = stamp_to_ns(request.image.header.stamp), image_from_message(request.image)
+            tracking = SubsetTracking(self._camera.camera, regions, *self._settings)
+            self._tracking = self._tracking.replaced_by(tracking, stamp_ns, image)
+            self._publish_reference(request.image.header.frame_id)
+            response.success, response.message = True, "measured by the new regions, from their image on"
+        except RgbdDicError as error:
+            response.message = str(error)
+        return response
+
+    def _publish_reference(self, frame_id: str) -> None:
+        reference = self._tracking.reference
+        if reference is not None and reference is not self._published_reference:
+            self._published_reference = reference
+            self._reference_output.publish(reference_message(make, reference, frame_id))
+
     def _image(self, message: Image) -> None:
         received_ns = time.time_ns()
         if self._tracking is None:
@@ -89,10 +111,7 @@ class DicNode(Node):
             image, reason = None, str(error)
         field = self._tracking.track(stamp_to_ns(message.header.stamp), image, reason)
         frame_id = message.header.frame_id
-        reference = self._tracking.reference
-        if reference is not None and reference is not self._published_reference:
-            self._published_reference = reference
-            self._reference_output.publish(reference_message(make, reference, frame_id))
+        self._publish_reference(frame_id)
         if field.keyframe_stamp_ns not in (self._keyframe_ns, field.reference_stamp_ns):
             self._diagnostics.count("renewed keyframes")
             self.get_logger().info(f"the subsets are now followed from the image at {field.keyframe_stamp_ns} ns")
