@@ -87,8 +87,8 @@ class Hand:
 
 
 def test_every_region_is_drawn_with_the_mouse_and_measures(drawn, bag: Path, tmp_path: Path) -> None:
-    """The opening from the drawn file is as near to the truth as that from the sample's own: 0.005 mm RMS there, and the
-    stated uncertainty is 0.004 mm; 0.01 mm leaves room for zones of another size."""
+    """The opening from the drawn file is as near to the truth as that from the sample's own: 0.005 mm RMS there, with a
+    stated uncertainty of 0.004 mm; 0.01 mm leaves room for zones of another size."""
     page, out = drawn
     hand = Hand(page)
     hand.polygon("Panel", PANEL)
@@ -220,7 +220,9 @@ def test_zoom_and_pan_keep_to_the_image(drawn) -> None:
 
 def test_accessibility_has_no_serious_finding(bag: Path, tmp_path: Path) -> None:
     with (
-        serving("regions", bag, "--regions", SAMPLE / "regions.yaml", "--out", tmp_path / "r.yaml", "--port", 0) as address,
+        serving(
+            "regions", bag, "--regions", SAMPLE / "regions.yaml", "--out", tmp_path / "r.yaml", "--port", 0
+        ) as address,
         chromium_page(TABLET) as page,
     ):
         page.goto(address)

@@ -21,12 +21,14 @@ NAMESPACE = "/docs"
 FILES = {"regions_file": SAMPLE / "regions.yaml", "calibration_file": SAMPLE / "calibration.yaml"}
 CLOUDS = {"use_points": "true"}
 ACQUISITION = ("camera_node", "tof_node", "mavlink_node", "recorder_node", "player_node")
-PROCESSING = ("pairing_node", "plane_node", "dic_node", "compensation_node", "crack_opening_node")
+PROCESSING = ("pairing_node", "plane_node", "dic_node", "compensation_node", "crack_opening_node", "operator_node")
 COMMON_TOPICS = {"/diagnostics", "/rosout", "/parameter_events"}
 COMMON_PARAMETERS = {"use_sim_time", "start_type_description_service"}
 SERVICES = {
     "~/set_reference": "takes the next good image as the new reference, from which displacements count anew",
     "~/renew_keyframe": "follows the subsets from the next good image on; displacements count from where they did",
+    "~/set_regions": "measures by other regions from now on; the image that they are drawn on becomes the reference",
+    "~/record": "stops writing, or starts again; latched topics are written in any case",
 }
 OPTIONAL = {"tof_node": {"/tf_static": ("tf2_msgs/TFMessage", "reliable, latched")}}  # needs tf2_msgs, not always there
 SELDOM = {

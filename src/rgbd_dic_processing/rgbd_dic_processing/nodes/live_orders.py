@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from queue import Empty
 from typing import Any
 
@@ -15,19 +16,19 @@ from rclpy.task import Future
 from rgbd_dic_acquisition.calibration import Camera
 from rgbd_dic_acquisition.errors import RgbdDicError
 from rgbd_dic_acquisition.messages import header_message, image_from_message, image_message, stamp_to_ns
-from rgbd_dic_acquisition.nodes.ros_messages import make
+from rgbd_dic_acquisition.nodes.diagnostics import WatchedPublisher
+from rgbd_dic_acquisition.nodes.ros_messages import latched_qos, make
 from sensor_msgs.msg import CameraInfo, Image
 from std_srvs.srv import SetBool, Trigger
 
-from rgbd_dic_msgs.msg import Event, PlaneStamped
+from rgbd_dic_msgs.msg import Event, PlaneStamped, Reference
 from rgbd_dic_msgs.srv import SetRegions
 
-from ..core.regions import Regions
 from ..core.regions_file import text_of
 from ..core.settings import ProcessingSettings
 from ..pages.drawing import Drawing
 from ..pages.live_state import LiveState, Order
-from .messages import plane_from_message
+from .messages import plane_from_message, reference_from_message
 
 IMAGE_TIMEOUT_S, PLANE_TIMEOUT_S = 5.0, 1.0
 PLANE_NEAR_S = 0.1  # between the image to draw on and the plane that its sizes are measured on
@@ -41,6 +42,7 @@ class Fetching:
     begun_s: float = field(default_factory=time.monotonic)
     image: Image | None = None
     info: CameraInfo | None = None
+    reference: Reference | None = None
     planes: list[PlaneStamped] = field(default_factory=list)
     heard: list[Subscription] = field(default_factory=list)
 
@@ -49,7 +51,6 @@ class LiveOrders:
     """Carries out the orders of a LiveState, in the thread of the executor.
 
     Attributes:
-        regions: those in force, as far as they are known.
         live: what the regions page asks.
     """
 
@@ -60,15 +61,15 @@ class LiveOrders:
         settings: ProcessingSettings,
         noise: float,
         camera: Callable[[], Camera | None],
+        events: WatchedPublisher,
     ):
         self._node, self._state, self._noise, self._camera = node, state, noise, camera
         self._settings = replace(settings, correlation=replace(settings.correlation, threads=1))
         self._set_reference = node.create_client(Trigger, "dic_node/set_reference")
         self._set_regions = node.create_client(SetRegions, "dic_node/set_regions")
         self._record = node.create_client(SetBool, "recorder_node/record")
-        self._events = node.create_publisher(Event, "event", 10)
+        self._events = events
         self._fetching: Fetching | None = None
-        self.regions: Regions | None = None
         self.live = LiveGraph(state)
         self._done = {
             "reference": lambda order: self._call(order, self._set_reference, Trigger.Request(), "dic_node"),
@@ -141,6 +142,8 @@ class LiveOrders:
             (PlaneStamped, "plane", fetching.planes.append),
         ):
             fetching.heard.append(self._node.create_subscription(kind, topic, take, latest))
+        take = partial(setattr, fetching, "reference")
+        fetching.heard.append(self._node.create_subscription(Reference, "reference", take, latched_qos()))
 
     def _look_at_fetching(self, fetching: Fetching) -> None:
         waited_s = time.monotonic() - fetching.begun_s
@@ -174,7 +177,8 @@ class LiveOrders:
         if isinstance(result, RgbdDicError):
             fetching.order.done.set_exception(result)
         else:
-            fetching.order.done.set_result((result, dict(self.regions.entries) if self.regions else {}))
+            regions = reference_from_message(fetching.reference).regions if fetching.reference else None
+            fetching.order.done.set_result((result, dict(regions.entries) if regions else {}))
 
 
 class LiveGraph:

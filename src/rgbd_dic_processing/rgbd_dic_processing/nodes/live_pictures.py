@@ -78,7 +78,7 @@ class LivePictures:
             self._fields = self._node.create_subscription(SubsetField, "subset_field", self._field, fields, raw=True)
         now = time.monotonic()
         while self._waiting and now - self._waiting[0].taken_s > PATIENCE_S:
-            self._show(self._waiting.popleft(), {}, "not measured yet")
+            self._show(self._waiting.popleft(), {}, "it is not measured yet")
         if now >= self._due_s and (taken := _take(self._images)) is not None:
             self._due_s = now + 1 / self._settings.picture_rate_hz
             self._keep(taken)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -17,7 +18,7 @@ from rgbd_dic_acquisition.nodes.ros_messages import latched_qos
 from rgbd_dic_acquisition.nodes.spinning import run
 from sensor_msgs.msg import CameraInfo
 
-from rgbd_dic_msgs.msg import CrackOpening, Reference
+from rgbd_dic_msgs.msg import CrackOpening, Event, Reference
 
 from ..core.correlation import CorrelationSettings
 from ..core.settings import CompensationSettings, CrackSettings, PlaneSettings, ProcessingSettings
@@ -39,9 +40,9 @@ NICENESS = 10  # the measurement goes first
 
 
 class OperatorNode(Node):
-    """Attributes: address: what to open; empty until the server listens."""
+    """Args: announce: told the address of the page, once it is served."""
 
-    def __init__(self) -> None:
+    def __init__(self, announce: Callable[[str], None] | None = None) -> None:
         super().__init__("operator_node")
         self._settings = declare(self, OperatorSettings, "operator")
         processing = ProcessingSettings(
@@ -54,17 +55,17 @@ class OperatorNode(Node):
         out = declare_path(self, "regions_out", "the regions.yaml that the page saves", False)
         self._camera: Camera | None = load_calibration(path).camera if path else None
         self._diagnostics = Diagnostics(self)
-        self.address = ""
         self._state = LiveState(self._settings.most_viewers)
         self._pictures = LivePictures(self, self._state, self._settings)
         self._pictures.camera = self._camera
-        self._orders = LiveOrders(self, self._state, processing, self._settings.noise, lambda: self._camera)
+        events = self._diagnostics.watch(self.create_publisher(Event, "event", 10))
+        self._orders = LiveOrders(self, self._state, processing, self._settings.noise, lambda: self._camera, events)
         self._heard = []
         self._offers_due_s = 0.0
         access = Access.on(self._settings.host, self._settings.port)
         regions = RegionsPage(None, out or Path("regions.yaml"), {}, self._orders.live)
         routes = [*LivePage(self._state).routes(), *regions.routes()]
-        self._server = ServerThread(make_app(access, routes, start="/live"), access, self._announce)
+        self._server = ServerThread(make_app(access, routes, start="/live"), access, announce or self._announce)
 
     def work(self) -> Iterator[float]:
         """Hear as much as is looked at, and do what is ordered."""
@@ -109,7 +110,7 @@ class OperatorNode(Node):
                 self._state.set_node(name, state)
 
     def _reference(self, message: Reference) -> None:
-        self._pictures.regions = self._orders.regions = reference_from_message(message).regions
+        self._pictures.regions = reference_from_message(message).regions
 
     def _camera_info(self, message: CameraInfo) -> None:
         if self._camera is None:
@@ -119,10 +120,9 @@ class OperatorNode(Node):
                 self._diagnostics.warn(str(error))
 
     def _announce(self, address: str) -> None:
-        self.address = address
         self.get_logger().info(f"open {address}")
 
 
-def main(args: Sequence[str] | None = None) -> int:
+def main(args: Sequence[str] | None = None, announce: Callable[[str], None] | None = None) -> int:
     os.nice(NICENESS)
-    return run(OperatorNode, args)
+    return run(partial(OperatorNode, announce), args)

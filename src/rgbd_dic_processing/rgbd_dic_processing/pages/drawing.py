@@ -77,6 +77,7 @@ class Drawing:
         self._camera = camera or Camera(cols, rows, float(cols), float(cols), (cols - 1) / 2, (rows - 1) / 2)
         self._calibration, self._cloud, self._plane, self._no_depth = calibration, cloud_m, plane, no_depth
         self._one_at_a_time = threading.Lock()
+        self.frame_id = ""
 
     @classmethod
     def of_bag(cls, path: Path, calibration_path: Path | None, settings: ProcessingSettings, noise: float) -> Drawing:

@@ -60,7 +60,7 @@ class FlightRecord:
         return [[round(t, 4), *_shown(value, u)] for t, value, u in fresh], self._first + len(self._samples)
 
     def overview(self, bins: int) -> dict[str, Any]:
-        """The whole flight in bins of time: lowest and highest opening [mm] (None: no valid one) and share of invalid."""
+        """The whole flight in bins of time: lowest and highest opening [mm] (None: no valid one), share of invalid."""
         if not self._samples:
             return {"end": 0.0, "low": [], "high": [], "invalid": []}
         time_s, opening, _ = np.array(self._samples).T

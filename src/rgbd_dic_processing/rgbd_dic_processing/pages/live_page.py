@@ -65,7 +65,7 @@ class LivePage:
             await asyncio.sleep(PERIOD_S)
 
     async def _picture(self, request: web.Request) -> web.Response:
-        """The next picture after the one that the viewer has, as a line of JSON and a JPEG; 204 if there is none yet."""
+        """The next picture after the one that the viewer has, as a line of JSON and a JPEG; 204 if none comes."""
         try:
             after = int(request.query.get("after", "-1"))
         except ValueError as error:

@@ -83,6 +83,11 @@ class LiveState:
         with self._lock:
             self._record.add(opening)
 
+    def last_stamp_ns(self) -> int:
+        """Of the latest opening; 0 before the first."""
+        with self._lock:
+            return self._record.last.stamp_ns if self._record.last is not None else 0
+
     def set_node(self, name: str, status: dict[str, Any]) -> None:
         with self._lock:
             self._nodes[name] = {**status, "heard": time.monotonic()}

@@ -25,8 +25,8 @@ HEADING = "Drawn on the image of stamp {stamp} ns of {name}; in pixels of that i
 class Live(Protocol):
     """A running graph that takes regions."""
 
-    async def drawing(self) -> Drawing:
-        """The latest image, to be drawn on."""
+    async def drawing(self) -> tuple[Drawing, dict[str, Any]]:
+        """The latest image, to be drawn on, and the entries of the regions in force; none if they are not known."""
 
     async def set_regions(self, entries: Mapping[str, Any], drawing: Drawing) -> str:
         """Measure by these regions from now on, from the image that they were drawn on; returns what was done."""
@@ -44,6 +44,7 @@ class RegionsPage:
 
     def __init__(self, drawing: Drawing | None, out: Path, start: Mapping[str, Any], live: Live | None = None):
         self._drawing, self._out, self._start, self._live = drawing, out, dict(start), live
+        self._fetching = asyncio.Lock()
 
     def routes(self) -> list[web.AbstractRouteDef]:
         return [
@@ -108,7 +109,7 @@ class RegionsPage:
 
     async def _new_image(self, _: web.Request) -> web.Response:
         """Draw on the latest image of the running graph."""
-        self._drawing = await self._graph().drawing()
+        self._drawing, _ = await self._graph().drawing()
         return json_response({})
 
     async def _set(self, request: web.Request) -> web.Response:
@@ -132,8 +133,10 @@ class RegionsPage:
         return entries
 
     async def _current(self) -> Drawing:
-        if self._drawing is None:
-            self._drawing = await self._graph().drawing()
+        async with self._fetching:
+            if self._drawing is None:
+                self._drawing, in_force = await self._graph().drawing()
+                self._start = self._start or in_force
         return self._drawing
 
     def _graph(self) -> Live:

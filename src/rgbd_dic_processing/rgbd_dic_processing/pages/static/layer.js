@@ -22,8 +22,9 @@ export class Layer {
     this.svg = svg;
   }
 
-  // shapes: of shapesOf(); selected: key of the one that shows its handles, or null; draft: what is being drawn.
-  render({view, shapes, selected, draft, line}) {
+  // shapes: of shapesOf(); selected: key of the one that shows its handles, or null; draft: what is being drawn; line:
+  // that of the crack; letters: [letter, point] of each.
+  render({view, shapes, selected, draft, line, letters}) {
     const focused = document.activeElement?.closest?.(".handle")?.id, s = view.scale;
     const group = node("g", {transform: `translate(${view.x} ${view.y}) scale(${s})`});
     if (line) group.append(outline(line, false, "outline shape crackline"));
@@ -33,6 +34,8 @@ export class Layer {
       for (const points of shape.outlines) element.append(outline(points, shape.closed, "outline"));
       group.append(element);
     }
+    for (const [letter, [x, y]] of letters)
+      group.append(node("text", {class: "letter", transform: `translate(${x} ${y}) scale(${1 / s})`, y: 6}, letter));
     for (const shape of shapes) if (shape.key === selected) group.append(...this.handles(shape, s));
     if (draft) group.append(this.draft(draft, s));
     this.svg.replaceChildren(group);

@@ -60,7 +60,7 @@ function redraw() {
   const shapes = page.shapes();
   layer.render({
     view: page.view, shapes, selected: page.tool === "move" ? page.selected : null, draft: pencil.draft,
-    line: crackLine(),
+    line: crackLine(), letters: zoneLetters(),
   });
 }
 
@@ -70,6 +70,13 @@ function crackLine() {
   if (!crack) return null;
   const reach = Math.hypot(page.scene.width, page.scene.height), [p, d] = [crack.point, crack.direction];
   return [-reach, reach].map((t) => [p[0] + t * d[0], p[1] + t * d[1]]);
+}
+
+// Which zone is the left one, as the server sees it.
+function zoneLetters() {
+  const crack = history.value.crack && page.look?.crack;
+  const middle = (points) => [0, 1].map((i) => points.reduce((sum, point) => sum + point[i], 0) / points.length);
+  return crack ? [["L", middle(crack.left)], ["R", middle(crack.right)]] : [];
 }
 
 function listShapes() {
