@@ -62,8 +62,8 @@ def serious_findings(page) -> list[str]:
 
 
 @contextmanager
-def serving(*arguments: str | Path, **variables: str) -> Iterator[str]:
-    """`rgbd-dic` with these arguments, which serves until it is ended; gives the address that it prints."""
+def serving(*arguments: str | Path, says: str = r"http://\S+", **variables: str) -> Iterator[str]:
+    """`rgbd-dic` with these arguments, until it is ended; gives what it says first that matches."""
     command = ["rgbd-dic", *map(str, arguments)]
     process = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env={**environment(), **variables}
@@ -72,12 +72,12 @@ def serving(*arguments: str | Path, **variables: str) -> Iterator[str]:
     try:
         for line in process.stdout:
             said.append(line)
-            if address := re.search(r"http://\S+", line):
+            if heard := re.search(says, line):
                 break
         else:
             raise AssertionError(f"{' '.join(command)} ended: {''.join(said)}")
         threading.Thread(target=process.stdout.read, daemon=True).start()  # so that it is never held up
-        yield address.group()
+        yield heard.group()
     finally:
         process.terminate()
         process.wait(20)

@@ -237,7 +237,8 @@ def test_orders_reach_the_node_and_its_words_the_viewer(served: Served) -> None:
         for answer in ("the next good image becomes the reference", RgbdDicError("dic_node is not running")):
             order = served.state.orders.get(timeout=10)
             assert order.what == "reference"
-            (order.done.set_exception if isinstance(answer, Exception) else order.done.set_result)(answer)
+            order.answer(answer)
+            order.answer("too late")
 
     thread = threading.Thread(target=node)
     thread.start()

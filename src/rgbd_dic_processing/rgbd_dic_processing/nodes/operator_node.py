@@ -10,6 +10,7 @@ from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rgbd_dic_acquisition.calibration import Camera, load_calibration
 from rgbd_dic_acquisition.errors import CalibrationError
 from rgbd_dic_acquisition.nodes.diagnostics import Diagnostics
@@ -52,7 +53,9 @@ class OperatorNode(Node):
             crack=declare(self, CrackSettings, "crack"),
         )
         path = declare_path(self, "calibration_file", "calibration.yaml; camera_info is used if empty", False)
-        out = declare_path(self, "regions_out", "the regions.yaml that the page saves", False)
+        out = declare_path(
+            self, "regions_out", "the regions.yaml that the page saves; regions.yaml where it runs if empty", False
+        )
         self._camera: Camera | None = load_calibration(path).camera if path else None
         self._diagnostics = Diagnostics(self)
         self._state = LiveState(self._settings.most_viewers)
@@ -60,7 +63,7 @@ class OperatorNode(Node):
         self._pictures.camera = self._camera
         events = self._diagnostics.watch(self.create_publisher(Event, "event", 10))
         self._orders = LiveOrders(self, self._state, processing, self._settings.noise, lambda: self._camera, events)
-        self._heard = []
+        self._heard, self._info = [], None
         self._offers_due_s = 0.0
         access = Access.on(self._settings.host, self._settings.port)
         regions = RegionsPage(None, out or Path("regions.yaml"), {}, self._orders.live)
@@ -74,6 +77,8 @@ class OperatorNode(Node):
             watched = self._state.watched(self._settings.linger_s)
             if watched != bool(self._heard):
                 self._listen() if watched else self._rest()
+            if self._camera is not None:
+                self._forget_info()
             self._pictures.turn()
             self._orders.turn()
             if watched and time.monotonic() >= self._offers_due_s:
@@ -92,14 +97,21 @@ class OperatorNode(Node):
             (DiagnosticArray, "/diagnostics", self._states, STREAM_DEPTH),
             (Reference, "reference", self._reference, latched_qos()),
         ]
-        if self._camera is None:
-            streams.append((CameraInfo, "camera/camera_info", self._camera_info, 1))
         self._heard = [self.create_subscription(*stream) for stream in streams]
+        if self._camera is None:
+            qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+            self._info = self.create_subscription(CameraInfo, "camera/camera_info", self._camera_info, qos)
 
     def _rest(self) -> None:
+        self._forget_info()
         for subscription in self._heard:
             self.destroy_subscription(subscription)
         self._heard = []
+
+    def _forget_info(self) -> None:
+        if self._info is not None:
+            self.destroy_subscription(self._info)
+            self._info = None
 
     def _opening(self, message: CrackOpening) -> None:
         self._state.add_opening(crack_opening_from_message(message))

@@ -51,6 +51,7 @@ class Drawing:
         calibration, cloud_m: both sensors, and the points (N, 3) [m] of a ToF frame near the image in the ToF frame;
             None if there is none, with the reason in `no_depth`.
         plane: of the panel in the camera frame, where that is known already.
+        frame_id: of a live image.
         noise: of a pixel [grey levels].
     """
 
@@ -66,8 +67,9 @@ class Drawing:
         cloud_m: Array | None = None,
         plane: Plane | None = None,
         no_depth: str = "no depth belongs to the image",
+        frame_id: str = "",
     ):
-        self.name, self.stamp_ns, self.image, self.noise = name, stamp_ns, image, noise
+        self.name, self.stamp_ns, self.image, self.noise, self.frame_id = name, stamp_ns, image, noise, frame_id
         self.settings = settings
         rows, cols = image.shape
         if camera is not None and (camera.width, camera.height) != (cols, rows):
@@ -77,7 +79,6 @@ class Drawing:
         self._camera = camera or Camera(cols, rows, float(cols), float(cols), (cols - 1) / 2, (rows - 1) / 2)
         self._calibration, self._cloud, self._plane, self._no_depth = calibration, cloud_m, plane, no_depth
         self._one_at_a_time = threading.Lock()
-        self.frame_id = ""
 
     @classmethod
     def of_bag(cls, path: Path, calibration_path: Path | None, settings: ProcessingSettings, noise: float) -> Drawing:

@@ -7,7 +7,7 @@ import contextlib
 import threading
 import time
 from collections.abc import Iterator
-from concurrent.futures import Future
+from concurrent.futures import Future, InvalidStateError
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
 from queue import SimpleQueue
@@ -46,11 +46,19 @@ class Picture:
 
 @dataclass
 class Order:
-    """Something that a viewer asks of the graph; `done` is set with words, or with an RgbdDicError."""
+    """Something that a viewer asks of the graph."""
 
     what: str
     content: Any = None
     done: Future = field(default_factory=Future)
+
+    def answer(self, result: Any) -> None:
+        """What came of it, or the RgbdDicError why nothing did; too late, nobody hears it."""
+        with contextlib.suppress(InvalidStateError):
+            if isinstance(result, RgbdDicError):
+                self.done.set_exception(result)
+            else:
+                self.done.set_result(result)
 
 
 class LiveState:
