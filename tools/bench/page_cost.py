@@ -12,6 +12,7 @@ import argparse
 import asyncio
 import multiprocessing
 import os
+import socket
 import subprocess
 import sys
 import time
@@ -40,6 +41,7 @@ def publish() -> None:
     from rgbd_dic_processing.core.status import FrameStatus
     from rgbd_dic_processing.core.subset_field import Reference, SubsetField
     from rgbd_dic_processing.nodes.messages import crack_opening_message, reference_message, subset_field_message
+    from rgbd_dic_processing.nodes.preview import PreviewOutput, PreviewSettings
     from sensor_msgs.msg import CameraInfo, Image
 
     from rgbd_dic_msgs import msg
@@ -61,6 +63,7 @@ def publish() -> None:
     reference = Reference(1, pixels, centres, 31, 10, centres, np.eye(3), regions_of(entries_of_text(REGIONS)))
     latched.publish(reference_message(make, reference, "camera"))
     single, small = np.full(SUBSETS, 0.9, np.float32), np.zeros(SUBSETS, np.uint8)
+    preview = PreviewOutput(node, PreviewSettings())
     next_s = time.monotonic()
     while rclpy.ok():
         stamp_ns = time.time_ns()
@@ -75,6 +78,7 @@ def publish() -> None:
         outputs["camera/camera_info"].publish(camera_info_message(make, stamp_ns, "camera", camera))
         outputs["subset_field"].publish(subset_field_message(make, field, "camera"))
         outputs["crack_opening"].publish(crack_opening_message(make, opening))
+        preview.offer(pixels, field, "camera")
         next_s += 1 / RATE_HZ
         time.sleep(max(0.0, next_s - time.monotonic()))
 
@@ -101,6 +105,18 @@ def view(pause_s: float, taken: multiprocessing.Value) -> None:
             fetching.cancel()
 
     asyncio.run(look())
+
+
+def wait_for_page() -> None:
+    """Until it is served, and the publisher is certainly at work."""
+    deadline = time.monotonic() + 60
+    while time.monotonic() < deadline:
+        try:
+            socket.create_connection(("127.0.0.1", PORT), 1.0).close()
+            break
+        except OSError:
+            time.sleep(0.2)
+    time.sleep(5.0)
 
 
 def cpu_s(pid: int) -> float:
@@ -139,7 +155,7 @@ def main() -> int:
     )
     viewers: list[multiprocessing.Process] = []
     try:
-        time.sleep(8.0)
+        wait_for_page()
         print("| viewers | operator_node [% of a core] | publisher [% of a core] | pictures [1/s] |\n|---|---|---|---|")
         for words, pauses in (
             ("none", []),

@@ -36,8 +36,8 @@ WHILE_WATCHED = {  # of operator_node, which has no subscription while nobody lo
     "/diagnostics": ("diagnostic_msgs/DiagnosticArray", "reliable, keep 100"),
     "reference": ("rgbd_dic_msgs/Reference", "reliable, latched"),
     "camera/camera_info": ("sensor_msgs/CameraInfo", "best effort, keep 1"),
+    "_preview": ("rgbd_dic_msgs/Preview", "best effort, keep 1"),
     "camera/image_raw": ("sensor_msgs/Image", "best effort, keep 1"),
-    "subset_field": ("rgbd_dic_msgs/SubsetField", "best effort, keep 100"),
     "plane": ("rgbd_dic_msgs/PlaneStamped", "best effort, keep 1"),
 }
 SELDOM = {

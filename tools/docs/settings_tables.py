@@ -18,6 +18,7 @@ from rgbd_dic_acquisition.simulator.flight import FlightSettings
 from rgbd_dic_acquisition.simulator.laboratory import LaboratorySettings
 from rgbd_dic_processing.core.settings import ProcessingSettings
 from rgbd_dic_processing.nodes.inputs import SensorQosSettings
+from rgbd_dic_processing.nodes.preview import PreviewSettings
 from rgbd_dic_processing.pages.settings import OperatorSettings
 
 STAGES: dict[str, type[Settings]] = {
@@ -31,11 +32,12 @@ NODES: dict[str, type[Settings]] = {
     "tof_node": TofNodeSettings,
     "mavlink_node": MavlinkNodeSettings,
     "link": MavlinkSettings,
+    "preview": PreviewSettings,
     "operator": OperatorSettings,
     "recorder_node": RecorderSettings,
     "player_node": PlayerSettings,
 }
-OF_PROCESSING = ("sensor_qos", "operator")  # of these, the groups of processing nodes
+OF_PROCESSING = ("sensor_qos", "preview", "operator")  # of these, the groups of processing nodes
 FLIGHT: dict[str, type[Settings]] = {"flight": FlightSettings} | {
     f"flight.{field.name}": type(field.default)
     for field in dataclasses.fields(FlightSettings)

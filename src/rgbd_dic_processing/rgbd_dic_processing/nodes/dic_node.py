@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
+import numpy as np
 from rclpy.node import Node
 from rgbd_dic_acquisition.calibration import Camera
 from rgbd_dic_acquisition.errors import ImageError, MeasurementError, RgbdDicError
@@ -29,6 +30,7 @@ from ..core.status import FrameStatus
 from ..core.tracking import SubsetTracking
 from .inputs import STREAM_DEPTH, CameraInput, sensor_qos
 from .messages import reference_message, subset_field_message
+from .preview import PreviewOutput, PreviewSettings
 
 
 class DicNode(Node):
@@ -48,6 +50,7 @@ class DicNode(Node):
             self.create_publisher(ReferenceMessage, "reference", latched_qos())
         )
         self._output = self._diagnostics.watch(self.create_publisher(SubsetFieldMessage, "subset_field", STREAM_DEPTH))
+        self._preview = PreviewOutput(self, declare(self, PreviewSettings, "preview"))
         qos = sensor_qos(self)
         self._camera = CameraInput(self, self._diagnostics, qos, self._start)
         for name, step, promise in (
@@ -125,6 +128,8 @@ class DicNode(Node):
             self._diagnostics.ok()
         field = replace(field, image_received_ns=received_ns)
         self._output.publish(subset_field_message(make, field, frame_id))
+        if image is not None and image.dtype == np.uint8:
+            self._preview.offer(image, field, frame_id)
 
 
 def main() -> int:

@@ -59,7 +59,7 @@ class OperatorNode(Node):
         self._camera: Camera | None = load_calibration(path).camera if path else None
         self._diagnostics = Diagnostics(self)
         self._state = LiveState(self._settings.most_viewers)
-        self._pictures = LivePictures(self, self._state, self._settings)
+        self._pictures = LivePictures(self, self._state, self._settings.picture_quality)
         self._pictures.camera = self._camera
         events = self._diagnostics.watch(self.create_publisher(Event, "event", 10))
         self._orders = LiveOrders(self, self._state, processing, self._settings.noise, lambda: self._camera, events)
@@ -89,7 +89,6 @@ class OperatorNode(Node):
     def close(self) -> None:
         self._server.close()
         self._rest()
-        self._pictures.close()
 
     def _listen(self) -> None:
         streams: list[tuple[type, str, Callable, object]] = [

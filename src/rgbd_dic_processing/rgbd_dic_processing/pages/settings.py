@@ -13,8 +13,6 @@ class OperatorSettings(Settings):
 
     host: str = setting("127.0.0.1", doc="address to listen on; any but the loopback asks for a token")
     port: int = setting(8420, low=0, high=65535, doc="port to listen on; 0 takes a free one")
-    picture_rate_hz: float = setting(4.0, unit="1/s", low=0.1, high=30.0, doc="most pictures that are made a second")
-    picture_width_px: int = setting(800, unit="px", low=80, high=4096, doc="largest width of a picture")
     picture_quality: int = setting(60, low=5, high=100, doc="of the pictures as JPEG; 100 is the best")
     most_viewers: int = setting(8, low=1, high=100, doc="viewers that are served at a time; more are refused")
     linger_s: float = setting(

@@ -26,7 +26,7 @@ export class CameraView {
   async next() {
     const response = await fetch(`/live/picture?after=${this.number}`);
     if (response.status === 204) {
-      this.note.textContent = "No image comes from the camera.";
+      this.note.textContent = "No image is being measured.";
       return;
     }
     if (!response.ok) throw new Error(response.status);

@@ -58,7 +58,7 @@ export class Chart {
   // samples: [time, opening, u]; opening null where it is not valid.
   minute(samples, events) {
     this.redraw = () => this.minute(samples, events);
-    const newest = samples.at(-1)?.[0] ?? 0, from = Math.max(newest - 60, samples[0]?.[0] ?? 0), to = Math.max(newest, from + 10);
+    const newest = samples.at(-1)?.[0] ?? 0, from = Math.max(newest - 60, samples[0]?.[0] ?? 0), to = Math.max(newest, from + 2);
     const valid = samples.filter(([, value]) => value !== null);
     const low = Math.min(...valid.map(([, v, u]) => v - (u || 0))), high = Math.max(...valid.map(([, v, u]) => v + (u || 0)));
     this.frame(from, to, valid.length ? low : 0, valid.length ? high : 0, events, (context, x, y, bottom) => {

@@ -62,7 +62,7 @@ function reading() {
   opening.dataset.stamp = last?.stamp_ns ?? "";
   opening.dataset.value = last?.opening_mm ?? "";
   $("method").textContent = last ? `(${last.method})` : "";
-  $("uncertainty").textContent = last?.valid ? `± ${last.u_mm.toFixed(3)} mm standard uncertainty` : "";
+  $("uncertainty").textContent = last?.valid ? `± ${last.u_mm.toFixed(3)} mm (k = 1)` : "";
   $("uncertainty").dataset.value = last?.u_mm ?? "";
   const state = $("state");
   state.className = `state ${!last || old ? "old" : last.valid ? "valid" : "invalid"}`;
@@ -103,7 +103,7 @@ function nodeRow({name, level, message, counters, topics, heard}) {
   return row;
 }
 
-const latency = (value) => `${(value * 1000).toFixed(0)} ms${value > LATE_S ? ": the graph lags behind" : ""}`;
+const latency = (value) => `${(value * 1000).toFixed(0)} ms${value > LATE_S ? ", late" : ""}`;
 
 const signed = (value, digits) => `${value < 0 ? "−" : "+"}${Math.abs(value).toFixed(digits)}`;
 
