@@ -42,6 +42,7 @@ def publish() -> None:
     from rgbd_dic_processing.core.subset_field import Reference, SubsetField
     from rgbd_dic_processing.nodes.messages import crack_opening_message, reference_message, subset_field_message
     from rgbd_dic_processing.nodes.preview import PreviewOutput, PreviewSettings
+    from scipy.ndimage import gaussian_filter
     from sensor_msgs.msg import CameraInfo, Image
 
     from rgbd_dic_msgs import msg
@@ -58,7 +59,8 @@ def publish() -> None:
     outputs = {topic: node.create_publisher(kind, topic, 10) for topic, kind in kinds.items()}
     latched = node.create_publisher(msg.Reference, "reference", latched_qos())
     camera = Camera(WIDTH, HEIGHT, 2459.0, 2466.0, 719.5, 539.5)
-    pixels = np.random.default_rng(1).integers(0, 255, (HEIGHT, WIDTH), np.uint8)
+    speckle = gaussian_filter(np.random.default_rng(1).standard_normal((HEIGHT, WIDTH)), 2.5)
+    pixels = np.clip(128 + 50 * speckle / speckle.std(), 0, 255).astype(np.uint8)
     centres = np.random.default_rng(2).uniform(100, 980, (SUBSETS, 2))
     reference = Reference(1, pixels, centres, 31, 10, centres, np.eye(3), regions_of(entries_of_text(REGIONS)))
     latched.publish(reference_message(make, reference, "camera"))

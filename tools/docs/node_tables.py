@@ -32,7 +32,7 @@ SERVICES = {
 }
 OPTIONAL = {"tof_node": {"/tf_static": ("tf2_msgs/TFMessage", "reliable, latched")}}  # needs tf2_msgs, not always there
 WHILE_WATCHED = {  # of operator_node, which has no subscription while nobody looks
-    "crack_opening": ("rgbd_dic_msgs/CrackOpening", "reliable, keep 100"),
+    "crack_opening": ("rgbd_dic_msgs/CrackOpening", "best effort, keep 300"),
     "/diagnostics": ("diagnostic_msgs/DiagnosticArray", "reliable, keep 100"),
     "reference": ("rgbd_dic_msgs/Reference", "reliable, latched"),
     "camera/camera_info": ("sensor_msgs/CameraInfo", "best effort, keep 1"),

@@ -15,6 +15,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 import aiohttp
+import cv2
 import numpy as np
 import pytest
 from rgbd_dic_acquisition.errors import RgbdDicError, SettingsError
@@ -216,16 +217,18 @@ def test_a_viewer_that_reads_nothing_holds_nobody_up(served: Served) -> None:
 
 def test_pictures_come_one_by_one(served: Served) -> None:
     assert not served.state.picture_wanted()
+    grey = np.tile(np.linspace(20, 200, 40).astype(np.uint8), (30, 1))
     outlines = {"panel": [[[1, 2], [3, 4], [5, 6]]]}
     with served.state.viewer():
         threading.Timer(
-            0.3, lambda: served.state.set_picture(Picture(7, START_NS, 40, 30, b"\xff\xd8jpeg", outlines, ""))
+            0.3, lambda: served.state.set_picture(Picture(7, START_NS, 80, 60, grey, 90, outlines, ""))
         ).start()
         status, body = served.ask("/live/picture?after=-1")  # it waits until there is one
         about, jpeg = body.split(b"\n", 1)
-        assert status == 200 and jpeg == b"\xff\xd8jpeg"
+        seen = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_GRAYSCALE)
+        assert status == 200 and seen.shape == grey.shape and np.abs(seen.astype(int) - grey).max() < 10
         assert json.loads(about) == {
-            **{"number": 7, "stamp_ns": str(START_NS), "width": 40, "height": 30},
+            **{"number": 7, "stamp_ns": str(START_NS), "width": 80, "height": 60},
             **{"outlines": outlines, "reason": ""},
         }
         assert served.state.picture_wanted()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from rclpy.node import Node
 from rclpy.subscription import Subscription
@@ -45,8 +44,8 @@ class LivePictures:
         if self.regions is not None and self.camera is not None:
             carried = carried_regions(self.regions, self.camera, homography)
             outlines = {name: [np.round(p, 1).tolist() for p in polygons] for name, polygons in carried.items()}
-        small = image_from_message(message.small)
-        jpeg = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, self._quality])[1].tobytes()
         self._number += 1
         about = (self._number, stamp_to_ns(message.header.stamp), message.width, message.height)
-        self._state.set_picture(Picture(*about, jpeg, outlines, message.reason))
+        self._state.set_picture(
+            Picture(*about, image_from_message(message.small), self._quality, outlines, message.reason)
+        )

@@ -34,8 +34,10 @@ from .live_orders import LiveOrders
 from .live_pictures import LivePictures
 from .messages import crack_opening_from_message, reference_from_message
 from .node_states import node_states
+from .shelf import Shelf
 
-WATCHED_S, IDLE_S = 0.03, 0.2  # longest wait between two turns
+WATCHED_S, IDLE_S = 0.1, 0.2  # longest wait between two turns
+OPENINGS_DEPTH = 300  # openings that may come between two turns
 OFFERS_S = 1.0
 NICENESS = 10  # the measurement goes first
 
@@ -63,6 +65,7 @@ class OperatorNode(Node):
         self._pictures.camera = self._camera
         events = self._diagnostics.watch(self.create_publisher(Event, "event", 10))
         self._orders = LiveOrders(self, self._state, processing, self._settings.noise, lambda: self._camera, events)
+        self._openings = Shelf(self, CrackOpening, "crack_opening", OPENINGS_DEPTH)
         self._heard, self._info = [], None
         self._offers_due_s = 0.0
         access = Access.on(self._settings.host, self._settings.port)
@@ -79,6 +82,8 @@ class OperatorNode(Node):
                 self._listen() if watched else self._rest()
             if self._camera is not None:
                 self._forget_info()
+            for message in self._openings.taken():
+                self._state.add_opening(crack_opening_from_message(message))
             self._pictures.turn()
             self._orders.turn()
             if watched and time.monotonic() >= self._offers_due_s:
@@ -89,20 +94,22 @@ class OperatorNode(Node):
     def close(self) -> None:
         self._server.close()
         self._rest()
+        self._openings.close()
 
     def _listen(self) -> None:
         streams: list[tuple[type, str, Callable, object]] = [
-            (CrackOpening, "crack_opening", self._opening, STREAM_DEPTH),
             (DiagnosticArray, "/diagnostics", self._states, STREAM_DEPTH),
             (Reference, "reference", self._reference, latched_qos()),
         ]
         self._heard = [self.create_subscription(*stream) for stream in streams]
+        self._openings.listen()
         if self._camera is None:
             qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
             self._info = self.create_subscription(CameraInfo, "camera/camera_info", self._camera_info, qos)
 
     def _rest(self) -> None:
         self._forget_info()
+        self._openings.rest()
         for subscription in self._heard:
             self.destroy_subscription(subscription)
         self._heard = []
@@ -111,9 +118,6 @@ class OperatorNode(Node):
         if self._info is not None:
             self.destroy_subscription(self._info)
             self._info = None
-
-    def _opening(self, message: CrackOpening) -> None:
-        self._state.add_opening(crack_opening_from_message(message))
 
     def _states(self, message: DiagnosticArray) -> None:
         for name, state in node_states(message, self.get_namespace()).items():

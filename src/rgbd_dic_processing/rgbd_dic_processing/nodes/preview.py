@@ -48,11 +48,10 @@ class PreviewOutput:
             return
         self._due_s = now + 1 / self._settings.rate_hz
         height, width = image.shape
-        scale = min(1.0, self._settings.width_px / width)
+        factor = -(-width // self._settings.width_px)  # a whole number is the fastest
         small = image
-        if scale < 1.0:
-            size = (round(width * scale), round(height * scale))
-            small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+        if factor > 1:
+            small = cv2.resize(image, (width // factor, height // factor), interpolation=cv2.INTER_AREA)
         self._output.publish(
             Preview(
                 header=header_message(make, field.stamp_ns, frame_id),

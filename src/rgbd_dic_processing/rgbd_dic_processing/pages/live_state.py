@@ -10,9 +10,13 @@ from collections.abc import Iterator
 from concurrent.futures import Future, InvalidStateError
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
+from functools import cached_property
 from queue import SimpleQueue
 from typing import Any
 
+import cv2
+import numpy as np
+from numpy.typing import NDArray
 from rgbd_dic_acquisition.errors import RgbdDicError
 
 from ..core.crack import CrackOpening
@@ -32,6 +36,7 @@ class TooManyViewers(RgbdDicError):
 class Picture:
     """A picture for the page, and where the regions lie in it.
 
+    width, height: of the camera's image [px]. small: the whole of it with fewer pixels, mono8.
     outlines: name -> points [px of the camera's image]; empty if the panel was not found, with the reason.
     """
 
@@ -39,9 +44,15 @@ class Picture:
     stamp_ns: int
     width: int
     height: int
-    jpeg: bytes
+    small: NDArray[np.uint8]
+    quality: int
     outlines: dict[str, Any]
     reason: str
+
+    @cached_property
+    def jpeg(self) -> bytes:
+        """Made when it is first asked for: nobody may ask."""
+        return cv2.imencode(".jpg", self.small, [cv2.IMWRITE_JPEG_QUALITY, self.quality])[1].tobytes()
 
 
 @dataclass
