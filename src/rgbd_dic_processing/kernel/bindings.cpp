@@ -237,9 +237,10 @@ PYBIND11_MODULE(_kernel, module) {
            "quadratic; smoothing of the gradients, px; threads: 0 for all cores.")
       .def("status", &reference_status, arg("min_contrast"),
            "uint8 (N,): of each subset, in the reference itself.")
-      .def("expected_sigma", &reference_sigma, arg("noise"),
-           "float32 (N, 2): standard uncertainty of x and y, px, that noise of this strength, grey levels, in "
-           "the reference and in another image will cause; NaN without texture.")
+      .def(
+          "expected_sigma", &reference_sigma, arg("noise"),
+          "float32 (N, 2): standard uncertainty of x and y, px, that noise of this strength, grey levels, in "
+          "the reference and in another image will cause; NaN without texture.")
       .def("__len__", &Reference::size);
 
   py::class_<SplineImage>(module, "Target", "An image that is searched.")

@@ -109,8 +109,9 @@ inline double noise_factor(double noise_variance, double jj, double jd) {
 // noise alone will have: white noise of this strength, grey levels, in both.
 inline std::array<double, 2> expected_sigma(const Subset& subset, double noise) {
   const double variance = noise * noise;
-  return {noise_factor(variance, subset.noise_jj_u, subset.noise_jd_u) * std::sqrt(2.0 * variance * subset.uu),
-          noise_factor(variance, subset.noise_jj_v, subset.noise_jd_v) * std::sqrt(2.0 * variance * subset.vv)};
+  return {
+      noise_factor(variance, subset.noise_jj_u, subset.noise_jd_u) * std::sqrt(2.0 * variance * subset.uu),
+      noise_factor(variance, subset.noise_jj_v, subset.noise_jd_v) * std::sqrt(2.0 * variance * subset.vv)};
 }
 
 // One subset against the target.
