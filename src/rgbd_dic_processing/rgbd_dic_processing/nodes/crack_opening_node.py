@@ -50,8 +50,9 @@ class CrackOpeningNode(Node):
 
     def _reference(self, camera: Camera, message: Reference) -> None:
         reference = reference_from_message(message)
-        zones = reference.regions.crack if reference.regions else self._zones
-        self._of_reference.know(reference.stamp_ns, CrackMeasurement(camera, zones, self._settings))
+        zones = (reference.regions.crack if reference.regions else None) or self._zones
+        self._crack = CrackMeasurement(camera, zones, self._settings)
+        self._of_reference.know(reference.stamp_ns, self._crack)
 
     def _measure(self, field: CoreField, crack: CrackMeasurement | None) -> None:
         opening = (crack or self._crack).measure(field)

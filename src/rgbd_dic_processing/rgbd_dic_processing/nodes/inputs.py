@@ -77,7 +77,7 @@ Known = TypeVar("Known")
 class OfReference(Generic[Known]):
     """Hands fields on with what is known of the reference that they count from, in their order.
 
-    Fields and references come on topics of their own. Once one reference is known, a field of another waits for it;
+    Fields and references come on topics of their own. Once one reference is known, a field of a later one waits for it;
     before, fields are handed on with None, as in a graph whose references nobody publishes.
     """
 
@@ -96,14 +96,14 @@ class OfReference(Generic[Known]):
         self._settle()
 
     def add(self, field: Any) -> None:
-        """A SubsetField or DisplacementField; one of stamp 0 has no reference."""
+        """A SubsetField or DisplacementField."""
         self._waiting.append(field)
         self._settle()
 
     def _settle(self) -> None:
         while self._waiting:
             stamp_ns = self._waiting[0].reference_stamp_ns
-            if self._known and stamp_ns and stamp_ns not in self._known:
+            if self._known and stamp_ns > max(self._known):
                 return
             self._hand_on(self._waiting.popleft(), self._known.get(stamp_ns))
 
