@@ -31,7 +31,7 @@ needs_chromium = pytest.mark.skipif(
 
 @contextmanager
 def chromium_page(viewport: dict[str, int] = LAPTOP) -> Iterator:
-    """A page whose script errors, and whatever it writes into the console as an error, fail the test at the end."""
+    """A page whose errors, but for refused requests and lost connections, fail the test at the end."""
     from playwright.sync_api import sync_playwright
 
     wrong: list[str] = []
@@ -41,12 +41,16 @@ def chromium_page(viewport: dict[str, int] = LAPTOP) -> Iterator:
             page = browser.new_page(viewport=viewport)
             page.set_default_timeout(20_000)
             page.on("pageerror", lambda error: wrong.append(str(error)))
-            page.on("console", lambda said: wrong.append(said.text) if said.type == "error" else None)
-            page.wrong = wrong
+            page.on("console", lambda said: wrong.append(said.text) if is_wrong(said) else None)
             yield page
         finally:
             browser.close()
     assert not wrong
+
+
+def is_wrong(said) -> bool:
+    """Whether what a page writes into the console is a fault of its own."""
+    return said.type == "error" and not said.text.startswith(("Failed to load resource", "WebSocket connection"))
 
 
 def serious_findings(page) -> list[str]:

@@ -23,8 +23,8 @@ from ..core.status import FrameStatus
 from ..pages.drawing import Drawing
 from .messages import plane_from_message, reference_from_message
 
-IMAGE_TIMEOUT_S = 5.0
-REST_TIMEOUT_S = 1.5  # for what belongs to the image
+IMAGE_TIMEOUT_S = 10.0
+REST_TIMEOUT_S = 5.0  # for what belongs to the image; by then everybody has found each other
 PLANE_NEAR_S = 0.1  # between the image and the plane that sizes are measured on
 
 

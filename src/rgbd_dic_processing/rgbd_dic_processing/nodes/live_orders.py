@@ -130,7 +130,7 @@ class LiveGraph:
         self._state = state
 
     async def drawing(self) -> tuple[Drawing, dict[str, Any]]:
-        return await self._state.order("drawing")
+        return await self._state.order("drawing", timeout_s=20.0)
 
     async def set_regions(self, entries: Mapping[str, Any], drawing: Drawing) -> str:
         return await self._state.order("regions", (entries, drawing))
