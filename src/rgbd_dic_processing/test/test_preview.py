@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from rgbd_dic_acquisition.calibration import Camera
 from rgbd_dic_acquisition.errors import RegionsError
-from rgbd_dic_processing.core.carried_regions import carried_regions
+from rgbd_dic_processing.core.carried_regions import carried_entries, carried_regions
 from rgbd_dic_processing.core.correlation import CorrelationSettings, ReferenceSubsets
 from rgbd_dic_processing.core.geometry import Plane, apply_homography
 from rgbd_dic_processing.core.panel_ruler import PanelRuler
@@ -138,6 +138,23 @@ def test_outlines_follow_the_motion() -> None:
     np.testing.assert_allclose(carried["panel"][0], CAMERA.distort(ideal), atol=1e-9)
     assert [len(carried[name]) for name in ("fixed", "fixed_holes", "left", "right", "crack")] == [1] * 5
     assert carried_regions(regions, CAMERA, np.full((3, 3), np.nan))["panel"] == []
+
+
+@pytest.mark.parametrize("crack", [CRACK, {"point": [150, 110], "direction": [0.1, 1], "size": [40, 60], "gap": 20}])
+def test_entries_are_carried_into_another_image(crack: dict) -> None:
+    """Corners as exactly as they are written; zones keep their middles, and nearly their width, which the warp shears."""
+    homography = np.array([[1.02, -0.03, 5.0], [0.03, 1.02, -4.0], [1e-5, 2e-5, 1.0]])
+    entries = {**GOOD, "panel": [[20, 20], [290, 20], [290, 220], [20, 220]], "crack": crack}
+    there = regions_of(carried_entries(entries, CAMERA, homography))
+    exact = carried_regions(regions_of(entries), CAMERA, homography)
+    np.testing.assert_allclose(there.panel, exact["panel"][0], atol=0.051)
+    for side in ("left", "right"):
+        zone = getattr(there.crack, side)
+        np.testing.assert_allclose(zone.mean(axis=0), exact[side][0].mean(axis=0), atol=0.6)
+        assert np.ptp(zone @ there.crack.normal) == pytest.approx(np.ptp(exact[side][0] @ there.crack.normal), rel=0.1)
+    middle = exact["crack"][0]
+    along = (middle[1] - middle[0]) / np.linalg.norm(middle[1] - middle[0])
+    assert abs(along @ there.crack.direction) > 0.9999
 
 
 def test_entries_survive_their_text() -> None:

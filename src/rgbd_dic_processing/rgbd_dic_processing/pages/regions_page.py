@@ -26,7 +26,7 @@ class Live(Protocol):
     """A running graph that takes regions."""
 
     async def drawing(self) -> tuple[Drawing, dict[str, Any]]:
-        """The latest image, to be drawn on, and the entries of the regions in force; none if they are not known."""
+        """The latest image, to be drawn on, and the entries of the regions in force there; none if not known."""
 
     async def set_regions(self, entries: Mapping[str, Any], drawing: Drawing) -> str:
         """Measure by these regions from now on, from the image that they were drawn on; returns what was done."""
@@ -109,8 +109,8 @@ class RegionsPage:
 
     async def _new_image(self, _: web.Request) -> web.Response:
         """Draw on the latest image of the running graph."""
-        self._drawing, _ = await self._graph().drawing()
-        return json_response({})
+        self._drawing, self._start = await self._graph().drawing()
+        return json_response({"done": "the regions in force are where the motion has carried them"})
 
     async def _set(self, request: web.Request) -> web.Response:
         """Have the running graph measure by what is drawn."""

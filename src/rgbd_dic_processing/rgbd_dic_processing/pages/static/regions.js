@@ -138,6 +138,14 @@ async function askForLook() {
   asking = false;
 }
 
+function replaceEntries(others) {
+  history.change((entries) => {
+    for (const key of Object.keys(entries)) delete entries[key];
+    Object.assign(entries, others);
+  });
+  changed();
+}
+
 function ready(yes) {
   for (const id of ["save", "set"]) $(id).disabled = !yes;
 }
@@ -182,9 +190,11 @@ $("show-subsets").onchange = () => page.view.changed();
 $("save").onclick = () => ask("/regions/save", {entries: history.value});
 $("set").onclick = () => ask("/regions/set", {entries: history.value});
 $("new-image").onclick = async () => {
-  if (!await ask("/regions/new_image", {})) return;
+  const answer = await ask("/regions/new_image", {});
+  if (!answer) return;
   await load();
-  changed();
+  replaceEntries(page.scene.entries);
+  say(answer.done);
 };
 $("open").onclick = () => $("file").click();
 $("file").onchange = async () => {
@@ -193,11 +203,7 @@ $("file").onchange = async () => {
   if (!file) return;
   const answer = await ask("/regions/read", {text: await file.text()});
   if (!answer) return;
-  history.change((entries) => {
-    for (const key of Object.keys(entries)) delete entries[key];
-    Object.assign(entries, answer.entries);
-  });
-  changed();
+  replaceEntries(answer.entries);
   say(`${file.name} is loaded`);
 };
 document.addEventListener("keydown", (event) => {
