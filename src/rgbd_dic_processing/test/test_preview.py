@@ -142,7 +142,7 @@ def test_outlines_follow_the_motion() -> None:
 
 @pytest.mark.parametrize("crack", [CRACK, {"point": [150, 110], "direction": [0.1, 1], "size": [40, 60], "gap": 20}])
 def test_entries_are_carried_into_another_image(crack: dict) -> None:
-    """Corners as exactly as they are written; zones keep their middles, and nearly their width, which the warp shears."""
+    """Corners as exactly as they are written; zones keep their middles, and nearly their width."""
     homography = np.array([[1.02, -0.03, 5.0], [0.03, 1.02, -4.0], [1e-5, 2e-5, 1.0]])
     entries = {**GOOD, "panel": [[20, 20], [290, 20], [290, 220], [20, 220]], "crack": crack}
     there = regions_of(carried_entries(entries, CAMERA, homography))
