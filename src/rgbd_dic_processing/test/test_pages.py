@@ -191,6 +191,7 @@ def test_a_viewer_that_reads_nothing_holds_nobody_up(served: Served) -> None:
         f"GET /live/numbers HTTP/1.1\r\nHost: 127.0.0.1:{served.port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
         "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n".encode()
     )
+    served.state.add_opening(opening(0.0, 0.0))
     feeding = threading.Event()
 
     def feed() -> None:
