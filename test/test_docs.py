@@ -28,7 +28,7 @@ from rgbd_dic_acquisition.nodes.tof_node import TofNodeSettings
 from rgbd_dic_acquisition.settings import Settings
 from rgbd_dic_acquisition.simulator.flight import FlightSettings
 from rgbd_dic_processing.core.displacement_field import DisplacementField
-from rgbd_dic_processing.core.regions import load_regions
+from rgbd_dic_processing.core.regions_file import load_regions
 from rgbd_dic_processing.core.settings import load_settings
 from system import ROOT
 

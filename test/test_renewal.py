@@ -6,6 +6,7 @@ import csv
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -17,6 +18,7 @@ from rgbd_dic_acquisition.messages import image_from_message, image_message, sta
 from rgbd_dic_acquisition.nodes.ros_messages import latched_qos, make
 from rgbd_dic_processing.core.status import FrameStatus
 from rgbd_dic_processing.nodes.dic_node import DicNode
+from rgbd_dic_processing.nodes.inputs import OfReference
 from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger
 from system import rgbd_dic
@@ -42,6 +44,22 @@ def test_a_renewing_graph_gives_the_same_numbers_as_offline(flight: Path, tmp_pa
     keyframes = [(m.keyframe_stamp.sec, m.keyframe_stamp.nanosec) for m in seen]
     assert keyframes == sorted(keyframes) and len(set(keyframes)) == 1 + facts[0]["renewed keyframes"]
     assert len({(m.reference_stamp.sec, m.reference_stamp.nanosec) for m in seen}) == 1
+
+
+def test_fields_wait_for_the_reference_that_they_count_from() -> None:
+    handed: list[tuple[int, str | None]] = []
+    of_reference = OfReference(lambda field, known: handed.append((field.reference_stamp_ns, known)))
+    for stamp_ns in (0, 10):
+        of_reference.add(SimpleNamespace(reference_stamp_ns=stamp_ns))
+    assert handed == [(0, None), (10, None)]  # nobody publishes references
+    of_reference.know(10, "first")
+    for stamp_ns in (10, 20, 10):
+        of_reference.add(SimpleNamespace(reference_stamp_ns=stamp_ns))
+    assert handed[2:] == [(10, "first")]  # in their order
+    of_reference.know(20, "second")
+    assert handed[3:] == [(20, "second"), (10, "first")]
+    of_reference.add(SimpleNamespace(reference_stamp_ns=15))
+    assert handed[5:] == [(15, None)]  # it was missed, and never comes
 
 
 def rows(path: Path) -> list[dict[str, str]]:

@@ -16,7 +16,8 @@ import numpy as np
 from rgbd_dic_acquisition.simulator.flight import Flight, FlightSettings
 from rgbd_dic_acquisition.simulator.ground_truth import save_regions
 from rgbd_dic_processing.core.pipeline import Measurement, Pipeline
-from rgbd_dic_processing.core.regions import Regions, load_regions
+from rgbd_dic_processing.core.regions import Regions
+from rgbd_dic_processing.core.regions_file import load_regions
 from rgbd_dic_processing.core.settings import ProcessingSettings
 from rgbd_dic_processing.summary import footprint_m
 

@@ -14,21 +14,32 @@ import rclpy
 from blocks import table
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
-from settings_tables import FLIGHT, NODES, PATHS, STAGES, parameter_names
+from settings_tables import FLIGHT, NODES, OF_PROCESSING, PATHS, STAGES, parameter_names
 
 SAMPLE = Path(__file__).parents[2] / "bags" / "sample"
 NAMESPACE = "/docs"
 FILES = {"regions_file": SAMPLE / "regions.yaml", "calibration_file": SAMPLE / "calibration.yaml"}
 CLOUDS = {"use_points": "true"}
 ACQUISITION = ("camera_node", "tof_node", "mavlink_node", "recorder_node", "player_node")
-PROCESSING = ("pairing_node", "plane_node", "dic_node", "compensation_node", "crack_opening_node")
+PROCESSING = ("pairing_node", "plane_node", "dic_node", "compensation_node", "crack_opening_node", "operator_node")
 COMMON_TOPICS = {"/diagnostics", "/rosout", "/parameter_events"}
 COMMON_PARAMETERS = {"use_sim_time", "start_type_description_service"}
 SERVICES = {
     "~/set_reference": "takes the next good image as the new reference, from which displacements count anew",
     "~/renew_keyframe": "follows the subsets from the next good image on; displacements count from where they did",
+    "~/set_regions": "measures by other regions from now on; the image that they are drawn on becomes the reference",
+    "~/record": "stops writing, or starts again; latched topics are written in any case",
 }
 OPTIONAL = {"tof_node": {"/tf_static": ("tf2_msgs/TFMessage", "reliable, latched")}}  # needs tf2_msgs, not always there
+WHILE_WATCHED = {  # of operator_node, which has no subscription while nobody looks
+    "crack_opening": ("rgbd_dic_msgs/CrackOpening", "best effort, keep 300"),
+    "/diagnostics": ("diagnostic_msgs/DiagnosticArray", "reliable, keep 100"),
+    "reference": ("rgbd_dic_msgs/Reference", "reliable, latched"),
+    "camera/camera_info": ("sensor_msgs/CameraInfo", "best effort, keep 1"),
+    "_preview": ("rgbd_dic_msgs/Preview", "best effort, keep 1"),
+    "camera/image_raw": ("sensor_msgs/Image", "best effort, keep 1"),
+    "plane": ("rgbd_dic_msgs/PlaneStamped", "best effort, keep 1"),
+}
 SELDOM = {
     "tof/points": "with `use_points`, in place of `tof/depth/...`",
     "/tf_static": "where tf2_msgs is installed",
@@ -59,7 +70,7 @@ def section(package: str, executables: tuple[str, ...]) -> str:
 
 def undocumented_parameters() -> set[str]:
     """Parameters of the processing nodes that config/processing.yaml would lack."""
-    known = parameter_names({**STAGES, "sensor_qos": NODES["sensor_qos"]}) | set(PATHS)
+    known = parameter_names({**STAGES, **{name: NODES[name] for name in OF_PROCESSING}}) | set(PATHS)
     return {name for executable in PROCESSING for name in _facts("rgbd_dic_processing", executable).parameters} - known
 
 
@@ -130,6 +141,8 @@ def _topics(executable: str, facts: Facts) -> str:
         gives = {"every topic of the bag": ("as recorded", "reliable, keep `queue_depth`; latched if it was")}
         gives |= {name: entry for name, entry in facts.gives.items() if name == "/clock"}
         takes = {"`acknowledge_topics`": ("as they say", "reliable, keep `queue_depth`")}
+    if executable == "operator_node":
+        takes = {f"`{name}` while somebody looks": entry for name, entry in WHILE_WATCHED.items()}
     if executable == "recorder_node":
         takes = {"`topics`, or all of its namespace and `/tf_static`": ("any", "as offered, keep `queue_depth`")}
     rows = []

@@ -20,6 +20,8 @@ from rgbd_dic_acquisition.simulator.flight import FlightSettings
 from rgbd_dic_acquisition.simulator.laboratory import LaboratorySettings
 from rgbd_dic_processing.core.settings import ProcessingSettings
 from rgbd_dic_processing.nodes.inputs import SensorQosSettings
+from rgbd_dic_processing.nodes.preview import PreviewSettings
+from rgbd_dic_processing.pages.settings import OperatorSettings
 
 STAGES: dict[str, type[Settings]] = {
     field.name: field.default_factory for field in dataclasses.fields(ProcessingSettings)
@@ -34,9 +36,12 @@ NODES: dict[str, type[Settings]] = {
     "tof": TofSettings,
     "mavlink_node": MavlinkNodeSettings,
     "link": MavlinkSettings,
+    "preview": PreviewSettings,
+    "operator": OperatorSettings,
     "recorder_node": RecorderSettings,
     "player_node": PlayerSettings,
 }
+OF_PROCESSING = ("sensor_qos", "preview", "operator")  # of these, the groups of processing nodes
 FLIGHT: dict[str, type[Settings]] = {"flight": FlightSettings} | {
     f"flight.{field.name}": type(field.default)
     for field in dataclasses.fields(FlightSettings)
@@ -50,6 +55,7 @@ LABORATORY: dict[str, Settings] = {"laboratory": LaboratorySettings()} | {
 PATHS = {
     "regions_file": ("", "path of regions.yaml; needed by all but pairing_node"),
     "calibration_file": ("", "path of calibration.yaml; needed by plane_node, the others then take camera/camera_info"),
+    "regions_out": ("", "path that the page of operator_node saves regions to; regions.yaml where it runs, if empty"),
     "use_points": (False, "whether pairing_node and plane_node take tof/points in place of tof/depth/..."),
 }
 
@@ -62,7 +68,7 @@ def sections(groups: dict[str, type[Settings]] | dict[str, Settings]) -> str:
 def processing_yaml() -> str:
     """All parameters of the processing nodes with their defaults."""
     groups = {name: kind for name, kind in STAGES.items() if name not in OFFLINE}
-    groups["sensor_qos"] = NODES["sensor_qos"]
+    groups |= {name: NODES[name] for name in OF_PROCESSING}
     lines = [
         "# All parameters of the processing nodes, with their defaults (docs/parameters.md). Written by `make docs`.",
         "# `/**` makes them hold for every node in any namespace; a node takes those that it knows.",

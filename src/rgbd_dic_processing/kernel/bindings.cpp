@@ -4,6 +4,7 @@
 #include <pybind11/stl.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstdint>
 #include <limits>
@@ -117,6 +118,19 @@ py::array_t<std::uint8_t> reference_status(const Reference& reference, double mi
   return status;
 }
 
+py::array_t<float> reference_sigma(const Reference& reference, double noise) {
+  checked(noise, "noise", 0.0, kInfinity);
+  py::array_t<float> sigma({reference.size(), std::ptrdiff_t{2}});
+  for (std::ptrdiff_t i = 0; i < reference.size(); ++i) {
+    const bool usable = reference[i].state == Subset::State::kUsable;
+    const std::array<double, 2> of_point = expected_sigma(reference[i], noise);
+    for (int axis = 0; axis < 2; ++axis)
+      sigma.mutable_at(i, axis) =
+          usable ? static_cast<float>(of_point[axis]) : std::numeric_limits<float>::quiet_NaN();
+  }
+  return sigma;
+}
+
 std::unique_ptr<SplineImage> make_target(const py::array& image, int degree) {
   return std::make_unique<SplineImage>(*chosen_loops(), to_image(image), degree);
 }
@@ -223,6 +237,10 @@ PYBIND11_MODULE(_kernel, module) {
            "quadratic; smoothing of the gradients, px; threads: 0 for all cores.")
       .def("status", &reference_status, arg("min_contrast"),
            "uint8 (N,): of each subset, in the reference itself.")
+      .def(
+          "expected_sigma", &reference_sigma, arg("noise"),
+          "float32 (N, 2): standard uncertainty of x and y, px, that noise of this strength, grey levels, in "
+          "the reference and in another image will cause; NaN without texture.")
       .def("__len__", &Reference::size);
 
   py::class_<SplineImage>(module, "Target", "An image that is searched.")

@@ -97,6 +97,23 @@ inline SubsetStatus status_in_reference(const Reference& reference, std::ptrdiff
   return textured ? SubsetStatus::kConverged : SubsetStatus::kLowTexture;
 }
 
+// By how much the standard uncertainty that follows from J^T J and J^T D is wrong because the reference's
+// noise is in them. It adds to J^T J, but acts with the target's noise only (with its own it cancels, J
+// being an odd filter): half of it counts. In J^T D it is no gradient at all.
+inline double noise_factor(double noise_variance, double jj, double jd) {
+  return std::sqrt(std::max(1.0 - 0.5 * noise_variance * jj, 0.5)) /
+         (1.0 - std::min(noise_variance * jd, 0.5));
+}
+
+// Standard uncertainty of a subset's point, x and y, px, that an image which differs from the reference by
+// noise alone will have: white noise of this strength, grey levels, in both.
+inline std::array<double, 2> expected_sigma(const Subset& subset, double noise) {
+  const double variance = noise * noise;
+  return {
+      noise_factor(variance, subset.noise_jj_u, subset.noise_jd_u) * std::sqrt(2.0 * variance * subset.uu),
+      noise_factor(variance, subset.noise_jj_v, subset.noise_jd_v) * std::sqrt(2.0 * variance * subset.vv)};
+}
+
 // One subset against the target.
 class SubsetMatch {
  public:
@@ -241,14 +258,6 @@ class SubsetMatch {
     result_.sigma_x = sigma(warp[0]);
     result_.sigma_y = sigma(warp[1]);
     return ended(SubsetStatus::kConverged);
-  }
-
-  // By how much the standard uncertainty that follows from J^T J and J^T D is wrong because the reference's
-  // noise is in them. It adds to J^T J, but acts with the target's noise only (with its own it cancels, J
-  // being an odd filter): half of it counts. In J^T D it is no gradient at all.
-  static double noise_factor(double noise_variance, double jj, double jd) {
-    return std::sqrt(std::max(1.0 - 0.5 * noise_variance * jj, 0.5)) /
-           (1.0 - std::min(noise_variance * jd, 0.5));
   }
 
   // Of the blocks, and over all of them.

@@ -7,18 +7,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 from rgbd_dic_acquisition.bag import BagReader
 from rgbd_dic_acquisition.calibration import Calibration
-from rgbd_dic_acquisition.errors import RegionsError
 
 from .core.panel_finding import FoundPanel, find_panel
-from .core.regions import read_entries
+from .core.regions_file import read_entries, write_entries
 from .core.settings import ProcessingSettings
 from .recorded_frames import first_image, nearest_cloud
 
-HEADING = "# The panel was found in the ToF frame of the first image; in pixels of that image (docs/files.md).\n"
+HEADING = "The panel was found in the ToF frame of the first image; in pixels of that image (docs/files.md)."
 
 
 @dataclass(frozen=True)
@@ -31,11 +29,7 @@ class FoundRegions:
 
     def save(self, path: Path) -> None:
         """Raises: RegionsError: if it cannot be written."""
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(HEADING + yaml.safe_dump(self.content, sort_keys=False, default_flow_style=None))
-        except OSError as error:
-            raise RegionsError(f"cannot write {path}: {error.strerror}") from error
+        write_entries(self.content, path, HEADING)
 
     def __str__(self) -> str:
         return (

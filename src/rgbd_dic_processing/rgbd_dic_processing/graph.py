@@ -29,6 +29,7 @@ TYPES = {
     "subset_field": "rgbd_dic_msgs/msg/SubsetField",
     "displacement_field": "rgbd_dic_msgs/msg/DisplacementField",
     "crack_opening": "rgbd_dic_msgs/msg/CrackOpening",
+    "event": "rgbd_dic_msgs/msg/Event",
 }
 LATCHED = {"reference"}
 CAMERA_TOPICS = ("camera/image_raw", "camera/camera_info")
@@ -106,7 +107,7 @@ def processing_nodes(
         NodeSpec(
             PROCESSING,
             "plane_node",
-            ("tof/points" if use_points else "tof/depth/image_raw", "subset_field"),
+            ("tof/points" if use_points else "tof/depth/image_raw", "subset_field", "reference"),
             ("plane",),
             parameters={"use_points": use_points, **calibration, **regions, **stage("pairing", "plane")},
         ),
@@ -128,7 +129,7 @@ def processing_nodes(
             NodeSpec(
                 PROCESSING,
                 "crack_opening_node",
-                (displacement, "camera/camera_info"),
+                (displacement, "reference", "camera/camera_info"),
                 (opening,),
                 f"crack_opening_node{suffix}",
                 {**calibration, **regions, **stage("crack")},
@@ -136,6 +137,29 @@ def processing_nodes(
             ),
         ]
     return nodes
+
+
+def operator_page(host: str, port: int, files: GraphFiles, settings: ProcessingSettings, regions_out: Path) -> NodeSpec:
+    """The live page; what it takes, it takes only while somebody looks, so nobody need wait for it."""
+    stages = settings.as_dict()
+    used = {
+        f"{name}.{key}": value
+        for name in ("correlation", "plane", "compensation", "crack")
+        for key, value in stages[name].items()
+    }
+    return NodeSpec(
+        PROCESSING,
+        "operator_node",
+        (),
+        ("event",),
+        parameters={
+            "operator.host": host,
+            "operator.port": port,
+            "calibration_file": str(files.calibration.resolve()),
+            "regions_out": str(regions_out.resolve()),
+            **used,
+        },
+    )
 
 
 def opening_topic(method: str, methods: tuple[str, ...]) -> str:

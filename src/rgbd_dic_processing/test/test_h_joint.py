@@ -12,7 +12,7 @@ from rgbd_dic_processing.core.displacement import DisplacementMeasurement
 from rgbd_dic_processing.core.geometry import Plane
 from rgbd_dic_processing.core.homography import fit_homography
 from rgbd_dic_processing.core.plane import PlaneEstimate
-from rgbd_dic_processing.core.regions import load_regions
+from rgbd_dic_processing.core.regions_file import load_regions
 from rgbd_dic_processing.core.search import SeedSource
 from rgbd_dic_processing.core.settings import CompensationSettings, CrackSettings
 from rgbd_dic_processing.core.status import FrameStatus

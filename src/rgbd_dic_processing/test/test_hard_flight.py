@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import yaml
 from rgbd_dic_acquisition.simulator.laboratory import Laboratory, laboratory_settings
-from rgbd_dic_processing.core.regions import load_regions
+from rgbd_dic_processing.core.regions_file import load_regions
 from rgbd_dic_processing.core.settings import ProcessingSettings
 from rgbd_dic_processing.core.status import FrameStatus
 from rgbd_dic_processing.validation.chapter4.hard_flight import HEADER, HardFlight, fly

@@ -16,7 +16,8 @@ from rgbd_dic_processing.core.crack import CrackMeasurement, CrackOpening
 from rgbd_dic_processing.core.displacement import SOLVERS, DisplacementMeasurement
 from rgbd_dic_processing.core.keyframe import Chain, stretch
 from rgbd_dic_processing.core.pipeline import Measurement, Pipeline
-from rgbd_dic_processing.core.regions import CrackZones, Regions, load_regions
+from rgbd_dic_processing.core.regions import CrackZones, Regions
+from rgbd_dic_processing.core.regions_file import load_regions
 from rgbd_dic_processing.core.search import SeedSource
 from rgbd_dic_processing.core.settings import (
     CompensationSettings,

@@ -15,7 +15,7 @@ from rgbd_dic_acquisition.simulator.laboratory import Laboratory, laboratory_set
 from rgbd_dic_acquisition.simulator.laboratory_bag import simulate_laboratory
 from rgbd_dic_processing.cli import main
 from rgbd_dic_processing.core.panel_finding import PanelFindingSettings, find_panel
-from rgbd_dic_processing.core.regions import load_regions
+from rgbd_dic_processing.core.regions_file import load_regions
 
 SUBSET = 31
 needs_open3d = pytest.mark.skipif(find_spec("open3d") is None, reason="open3d-cpu is not installed")

@@ -12,7 +12,7 @@ from rgbd_dic_acquisition.bag import BagReader, BagWriter
 from rgbd_dic_acquisition.simulator.laboratory import Laboratory, LaboratorySettings, laboratory_settings
 from rgbd_dic_acquisition.simulator.laboratory_bag import simulate_laboratory
 from rgbd_dic_processing.cli import main
-from rgbd_dic_processing.core.regions import load_regions
+from rgbd_dic_processing.core.regions_file import load_regions
 from rgbd_dic_processing.core.settings import ProcessingSettings
 from rgbd_dic_processing.plane_view import PlaneView, view_plane
 from rgbd_dic_processing.recorded import calibration_of

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rgbd_dic_acquisition.errors import RegionsError
-from rgbd_dic_processing.core.regions import CrackZones, Regions, inside, load_regions, polygon_mask
+from rgbd_dic_processing.core.regions import CrackZones, Regions, inside, polygon_mask
+from rgbd_dic_processing.core.regions_file import load_regions
 
 PANEL = np.array([(10.0, 10), (190, 10), (190, 140), (10, 140)])
 

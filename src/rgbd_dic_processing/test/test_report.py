@@ -16,7 +16,7 @@ from rgbd_dic_acquisition.errors import RgbdDicError
 from rgbd_dic_processing.cli import main
 from rgbd_dic_processing.core.crack import CrackOpening
 from rgbd_dic_processing.core.displacement_field import DisplacementField
-from rgbd_dic_processing.core.regions import load_regions
+from rgbd_dic_processing.core.regions_file import load_regions
 from rgbd_dic_processing.core.settings import ProcessingSettings
 from rgbd_dic_processing.core.status import FrameStatus
 from rgbd_dic_processing.core.subset_field import Reference

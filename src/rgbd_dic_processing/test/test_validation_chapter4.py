@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from rgbd_dic_processing.core.pipeline import Pipeline
-from rgbd_dic_processing.core.regions import load_regions
+from rgbd_dic_processing.core.regions_file import load_regions
 from rgbd_dic_processing.core.settings import ProcessingSettings
 from rgbd_dic_processing.validation.chapter4.budget import EVERY, SOURCES, laboratory_with
 from rgbd_dic_processing.validation.chapter4.chapter import METHODS, QUICK, ROLLS, run_chapter4

@@ -10,6 +10,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
+from std_srvs.srv import SetBool
 
 from ..bag import BagWriter
 from ..errors import RgbdDicError, SettingsError
@@ -52,8 +53,12 @@ class RecorderNode(Node):
         wanted = [_parse(entry) for entry in self._settings.topics if entry]
         self._diagnostics = Diagnostics(self)
         self._recorded: dict[str, Subscription | None] = {}
+        self._latched: dict[str, bool] = {}
         self._held: deque[tuple[str, bytes]] = deque(maxlen=HELD)
         self._bag = BagWriter(output, self._settings.compression)
+        self._writes = True
+        self.create_service(SetBool, "~/record", self._set_writing)
+        self._diagnostics.tell("recording", "on")
         for name, typename, latched, reliable in wanted:
             self._subscribe(self.resolve_topic_name(name), typename, latched, reliable)
         if not wanted:
@@ -84,7 +89,7 @@ class RecorderNode(Node):
                 self._subscribe(topic, types[0], latched, reliable)
 
     def _subscribe(self, topic: str, typename: str, latched: bool, reliable: bool) -> None:
-        self._recorded[topic] = None
+        self._recorded[topic], self._latched[topic] = None, latched
         try:
             kind = message_class(typename)
             self._bag.add_topic(topic, typename, transient_local=latched, reliable=reliable)
@@ -101,7 +106,19 @@ class RecorderNode(Node):
             kind, topic, lambda data: self._record(topic, data), qos, raw=True
         )
 
+    def _set_writing(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        """Latched topics are recorded in any case: what comes later rests on them."""
+        self._writes = request.data
+        self._diagnostics.tell("recording", "on" if request.data else "off")
+        response.success = True
+        response.message = "recording" if request.data else "not recording until it is started again"
+        self.get_logger().info(response.message)
+        return response
+
     def _record(self, topic: str, data: bytes) -> None:
+        if not (self._writes or self._latched[topic]):
+            self._diagnostics.count("not recorded, as told")
+            return
         self._diagnostics.count(f"recorded {topic}")
         self._held.append((topic, data))
         if self.get_clock().now().nanoseconds > 0:

@@ -11,7 +11,7 @@ from rgbd_dic_acquisition.calibration import Calibration
 from rgbd_dic_acquisition.errors import RgbdDicError
 
 from ..core.displacement import SOLVERS
-from ..core.regions import read_entries
+from ..core.regions_file import read_entries
 from ..core.settings import ProcessingSettings, load_settings
 from ..found_regions import find_regions
 from ..results import read_truth

@@ -8,7 +8,7 @@ from typing import Any
 
 from rgbd_dic_acquisition.bag import BagReader
 
-from ..core.regions import load_regions
+from ..core.regions_file import load_regions
 from ..core.settings import load_settings
 from ..plane_view import view_plane
 from ..recorded import calibration_of

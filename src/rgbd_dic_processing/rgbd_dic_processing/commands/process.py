@@ -12,7 +12,7 @@ from rgbd_dic_acquisition.bag import BagReader
 from rgbd_dic_acquisition.errors import BagError
 
 from ..core.pipeline import Pipeline
-from ..core.regions import load_regions
+from ..core.regions_file import load_regions
 from ..core.sensor_delay import TOLD_AS
 from ..recorded import calibration_of, calibration_warning, frame_count, measure_bag
 from ..results import read_truth

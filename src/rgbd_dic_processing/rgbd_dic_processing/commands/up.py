@@ -12,13 +12,14 @@ from rgbd_dic_acquisition.calibration import load_calibration
 from rgbd_dic_acquisition.errors import RgbdDicError
 
 from ..core.crack import CrackOpening
-from ..core.regions import load_regions
+from ..core.regions_file import load_regions
 from ..graph import (
     SENSOR_TOPICS,
     GraphFiles,
     NodeSpec,
     all_topics,
     opening_topic,
+    operator_page,
     player,
     processing_nodes,
     recorder,
@@ -29,10 +30,12 @@ from ..recorded import check_topics, has_clouds
 from ..results import read_truth
 from .options import add_measurement, beside, complete_regions, finish, measurement_settings, required_file
 from .progress import progress
+from .regions import PORT
 
 if TYPE_CHECKING:
     from ..supervision import Outcome
 
+DRAWN_NAME = "regions_drawn.yaml"  # what the page saves, beside the regions.yaml that the run began with
 WINDOW = 16  # images under way; more than a missing ToF frame makes the pairing wait for
 
 
@@ -51,6 +54,19 @@ def add_parser(commands: Any) -> None:
         help="play as fast as the graph answers, and lose no frame",
     )
     parser.add_argument("--duration", type=float, metavar="S", help="end after this time [s] (default: Ctrl-C)")
+    parser.add_argument(
+        "--page",
+        type=int,
+        nargs="?",
+        const=PORT,
+        metavar="PORT",
+        help=f"serve the live page (default: not; without a number: port {PORT})",
+    )
+    parser.add_argument(
+        "--page-host",
+        default="127.0.0.1",
+        help="its address; any but the loopback asks for a token (default: %(default)s)",
+    )
     parser.add_argument("--namespace", default="", help="pushed on all names (default: none)")
     parser.add_argument("--domain", type=int, help="ROS domain (default: ROS_DOMAIN_ID, else 0)")
     parser.set_defaults(run=run)
@@ -98,11 +114,15 @@ def run(options: argparse.Namespace) -> int:
     if not options.bag:
         images, topics = None, ()
         nodes += simulated_sensors()
+    address = ""
+    if options.page is not None:
+        address = page_address(options.page_host, options.page)
+        nodes.append(operator_page(options.page_host, options.page, files, settings, options.out / DRAWN_NAME))
     nodes.append(recorder(output, tuple(dict.fromkeys((*topics, *all_topics(nodes))))))
     from ..supervision import collect  # ROS is imported only by what needs it
 
     answers = {method: opening_topic(method, methods) for method in methods}
-    outcome = _run(options, nodes, topics, answers, images)
+    outcome = _run(options, nodes, topics, answers, images, address)
     if outcome.failure is not None and not outcome.openings:
         raise outcome.failure
     inputs = {
@@ -118,12 +138,23 @@ def run(options: argparse.Namespace) -> int:
     return code
 
 
+def page_address(host: str, port: int) -> str:
+    """The address of the page; its node gets the token, if one is needed, through the environment."""
+    from ..pages.access import TOKEN_VARIABLE, Access
+
+    access = Access.on(host, port)
+    if access.token is not None:
+        os.environ[TOKEN_VARIABLE] = access.token
+    return access.address(port)
+
+
 def _run(
     options: argparse.Namespace,
     nodes: list[NodeSpec],
     topics: tuple[str, ...],
     answers: dict[str, str],
     images: int | None,
+    address: str,
 ) -> Outcome:
     """Start the nodes and, on a bag, the player; show the openings as they come; end them."""
     from ..supervision import supervise
@@ -145,6 +176,8 @@ def _run(
             for node in nodes:
                 processes.start(node)
             watch.wait_until_connected(nodes, processes.check)
+            if address:
+                print(f"open {address}", flush=True)
             if not options.bag:
                 return supervise(watch, processes, answers, duration_s=options.duration)
             fast = options.as_fast_as_possible

@@ -171,6 +171,16 @@ class ReferenceSubsets:
         x_px, y_px = np.where(found, self.centres_px.T, np.nan)
         return Correlation(x_px, y_px, certain, certain, 1 + certain, np.zeros(len(self), np.uint8), status)
 
+    def expected_sigma_px(self, noise: float) -> NDArray[np.float32]:
+        """(N, 2) standard uncertainty of x and y [px] that the texture allows; NaN for a subset without texture.
+
+        Args:
+            noise: standard deviation of the noise of a pixel, in the reference and in the image to come [grey levels].
+        """
+        sigma = self._reference.expected_sigma(noise)
+        sigma[self.itself().status != SubsetStatus.CONVERGED] = np.nan
+        return sigma
+
     def target(self, image: NDArray) -> Target:
         """Make (rows, cols) grey values ready for any number of calls of correlate()."""
         return Target(image, self.settings)

@@ -43,7 +43,8 @@ class DisplacementMeasurement:
 
     def set_reference(self, reference: Reference) -> list[DisplacementField]:
         """A reference was taken. Fields of it that came earlier wait for it."""
-        self._references[reference.stamp_ns] = ReferenceFrame(self._camera, self._regions, self._settings, reference)
+        regions = reference.regions or self._regions
+        self._references[reference.stamp_ns] = ReferenceFrame(self._camera, regions, self._settings, reference)
         while len(self._references) > 2:
             self._references.pop(next(iter(self._references)))
         return self._measure_all(self._join.add_reference(reference.stamp_ns))

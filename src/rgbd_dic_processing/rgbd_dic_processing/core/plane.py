@@ -161,12 +161,17 @@ class PanelPlane:
         self._calibration = calibration
         self._settings = settings
         self._tof_delay_ns = tof_delay_ns
-        self._crack = regions.crack
-        self._mask = polygon_mask(regions.panel, calibration.camera.width, calibration.camera.height)
         self._rays = None if calibration.tof is None else pixel_rays(calibration.tof)
         self._of_depths, self._of_views = Stretches(), Stretches()
         self._waiting: deque[tuple[Place, Array | None, str]] = deque()
         self._views: deque[tuple[Place, Array | None]] = deque(maxlen=64)
+        self.take_regions(regions)
+
+    def take_regions(self, regions: Regions) -> None:
+        """Other regions, on another image, hold for the views to come; the ToF frames that wait go by them too."""
+        camera = self._calibration.camera
+        self._crack, self._mask = regions.crack, polygon_mask(regions.panel, camera.width, camera.height)
+        self._views.clear()
 
     def add_depth(self, stamp_ns: int, depth_m: NDArray[np.float32] | None, reason: str = "") -> list[PlaneEstimate]:
         """A ToF depth image (rows, cols) [m], NaN invalid; None with a reason if it could not be read.

@@ -1,17 +1,16 @@
-"""The regions that a user draws on the reference image; the file `regions.yaml` (docs/files.md).
+"""The regions that a user draws on the reference image; `regions_file.py` reads and writes them.
 
 All coordinates are pixels of the raw reference image, x right, y down.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import cv2
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 from rgbd_dic_acquisition.errors import RegionsError
 
@@ -88,18 +87,23 @@ class Regions:
     fixed: polygons of the part that is taken as rigid; empty means the whole panel.
     x_axis: two points (2, 2) on the panel's x axis, or None for the principal axes (thesis 2.4).
     crack: the measuring zones, or None where only maps are wanted.
+    fixed_holes: polygons that are cut out of the fixed region.
+    entries: the entries of regions.yaml that they were read from; empty if they were not.
     """
 
     panel: Array
     fixed: tuple[Array, ...]
     x_axis: Array | None
     crack: CrackZones | None
+    fixed_holes: tuple[Array, ...] = ()
+    entries: Mapping[str, Any] = field(default_factory=dict, compare=False)
 
     def fixed_members(self, points_px: Array) -> Mask:
         """Which points (N, 2) lie in the fixed region."""
-        if not self.fixed:
-            return inside(self.panel, points_px)
-        return np.any([inside(polygon, points_px) for polygon in self.fixed], axis=0)
+        members = np.any([inside(polygon, points_px) for polygon in self.fixed or (self.panel,)], axis=0)
+        for hole in self.fixed_holes:
+            members &= ~inside(hole, points_px)
+        return members
 
     def check(self, width: int, height: int, subset_size: int, step: int) -> NDArray[np.int32]:
         """Refuse regions that cannot work on an image of this size [px].
@@ -111,6 +115,7 @@ class Regions:
             RegionsError: naming the region and what is wrong with it.
         """
         named = [("panel", self.panel)] + [(f"fixed[{i}]", p) for i, p in enumerate(self.fixed)]
+        named += [(f"fixed_holes[{i}]", p) for i, p in enumerate(self.fixed_holes)]
         if self.crack is not None:
             named += [("crack: left zone", self.crack.left), ("crack: right zone", self.crack.right)]
         if self.x_axis is not None:
@@ -124,7 +129,7 @@ class Regions:
                     "draw the regions on this camera's reference image"
                 )
         centres = self.subset_centres(width, height, subset_size, step)
-        members = [("fixed", self.fixed_members(centres))] if self.fixed else []
+        members = [("fixed", self.fixed_members(centres))]
         if self.crack is not None:
             members += [
                 ("crack: left zone", inside(self.crack.left, centres)),
@@ -178,93 +183,6 @@ def polygon_mask(polygon_px: Array, width: int, height: int) -> Mask:
     mask = np.zeros((height, width), np.uint8)
     cv2.fillPoly(mask, [np.round(np.asarray(polygon_px)).astype(np.int32)], 1)
     return mask.astype(bool)
-
-
-def read_entries(path: Path | str) -> dict[str, Any]:
-    """The entries of regions.yaml as they stand there, which may be without a panel.
-
-    Raises:
-        RegionsError: if the file cannot be read, or has an entry that is not known.
-    """
-    try:
-        content = yaml.safe_load(Path(path).read_text())
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise RegionsError(f"cannot read regions {path}: {error}") from error
-    if not isinstance(content, dict):
-        raise RegionsError(f"{path}: needs an entry 'panel' (see docs/files.md)")
-    unknown = sorted(set(content) - {"panel", "fixed", "x_axis", "crack"})
-    if unknown:
-        raise RegionsError(f"{path}: unknown entry {', '.join(unknown)}; known are panel, fixed, x_axis, crack")
-    return content
-
-
-def load_regions(path: Path | str) -> Regions:
-    """Read regions.yaml.
-
-    Raises:
-        RegionsError: naming the file, the entry and what is wrong with it.
-    """
-    content = read_entries(path)
-    if "panel" not in content:
-        raise RegionsError(f"{path}: needs an entry 'panel' (see docs/files.md)")
-    try:
-        return Regions(
-            panel=_points(content["panel"], "panel", least=3),
-            fixed=tuple(_points(p, f"fixed[{i}]", least=3) for i, p in enumerate(content.get("fixed") or [])),
-            x_axis=_axis(content.get("x_axis")),
-            crack=_crack(content.get("crack")),
-        )
-    except RegionsError as error:
-        raise RegionsError(f"{path}: {error}") from error
-
-
-def _points(value: Any, name: str, least: int) -> Array:
-    try:
-        points = np.array(value, float)
-    except (TypeError, ValueError) as error:
-        raise RegionsError(f"{name}: expected a list of points [x, y], got {value!r}") from error
-    if points.ndim != 2 or points.shape[1] != 2 or len(points) < least or not np.all(np.isfinite(points)):
-        raise RegionsError(f"{name}: expected at least {least} points [x, y] in pixels, got {value!r}")
-    return points
-
-
-def _axis(value: Any) -> Array | None:
-    if value is None:
-        return None
-    points = _points(value, "x_axis", least=2)
-    if len(points) != 2 or np.array_equal(points[0], points[1]):
-        raise RegionsError(f"x_axis: expected two different points, got {value!r}")
-    return points
-
-
-def _crack(value: Any) -> CrackZones | None:
-    if value is None:
-        return None
-    if not isinstance(value, dict):
-        raise RegionsError(f"crack: expected left and right, or point, direction and size; got {value!r}")
-    direction = _numbers(value["direction"], "crack: direction", 2) if "direction" in value else None
-    if direction is not None and not np.any(direction):
-        raise RegionsError("crack: direction must not be [0, 0]")
-    if {"left", "right"} <= set(value):
-        boxes = [_numbers(value[side], f"crack: {side}", 4) for side in ("left", "right")]
-        return CrackZones.from_rectangles(boxes[0], boxes[1], direction)
-    if {"point", "direction", "size"} <= set(value):
-        across, along = _numbers(value["size"], "crack: size", 2)
-        gap = float(_numbers([value.get("gap", 0)], "crack: gap", 1)[0])
-        if across <= 0 or along <= 0 or gap < 0:
-            raise RegionsError(f"crack: size {across:g} x {along:g} px must be above 0, gap {gap:g} px not below 0")
-        return CrackZones.from_point(_numbers(value["point"], "crack: point", 2), direction, across, along, gap)
-    raise RegionsError("crack: give either left and right, or point, direction and size (see docs/files.md)")
-
-
-def _numbers(value: Any, name: str, count: int) -> Array:
-    try:
-        numbers = np.array(value, float)
-    except (TypeError, ValueError) as error:
-        raise RegionsError(f"{name}: expected {count} numbers, got {value!r}") from error
-    if numbers.shape != (count,) or not np.all(np.isfinite(numbers)):
-        raise RegionsError(f"{name}: expected {count} numbers, got {value!r}")
-    return numbers
 
 
 def _oriented(direction: Array) -> Array:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .correlation import SubsetStatus
+from .regions import Regions
 from .search import SeedSource
 from .status import FrameStatus
 
@@ -21,6 +22,7 @@ class Reference:
     centres_px: (N, 2), in its raw image; NaN for a subset that does not lie in it.
     drawn_px: (N, 2), the same in the raw image that the regions were drawn on, the first reference; row by row.
     homography: (3, 3), ideal pixels of that image -> of this one.
+    regions: those that hold from this reference on; None for the ones that the measurement began with.
     """
 
     stamp_ns: int
@@ -30,6 +32,7 @@ class Reference:
     step: int
     drawn_px: Array
     homography: Array
+    regions: Regions | None = field(default=None, compare=False)
 
     @classmethod
     def first(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from rgbd_dic_acquisition.calibration import Camera
-from rgbd_dic_acquisition.errors import MeasurementError
+from rgbd_dic_acquisition.errors import MeasurementError, RegionsError
 
 from .correlation import CorrelationSettings, SubsetStatus
 from .keyframe import Chain, Found, Keyframe
@@ -69,6 +69,24 @@ class SubsetTracking:
         if self.reference is not None:
             self._refuse(self._too_few(self._present().moved_px))
             self._wants_keyframe = True
+
+    def replaced_by(self, other: SubsetTracking, stamp_ns: int, image: NDArray[np.uint8]) -> SubsetTracking:
+        """The other tracking, by regions that were drawn on this image, which becomes its reference.
+
+        Raises:
+            RgbdDicError: if the image is not later than the present reference, or cannot be one; this one then goes on.
+        """
+        if other._regions.crack is None:
+            raise RegionsError("the regions have no entry 'crack': draw the measuring zones")
+        if self.reference is not None and stamp_ns <= self.reference.stamp_ns:
+            raise MeasurementError(
+                f"the image of the regions ({stamp_ns} ns) is not later than the reference "
+                f"({self.reference.stamp_ns} ns): draw them on a newer image"
+            )
+        field = other.track(stamp_ns, image)
+        if other.reference is None:
+            raise MeasurementError(field.reason)
+        return other
 
     def track(self, stamp_ns: int, image: NDArray[np.uint8] | None, reason: str = "") -> SubsetField:
         """The subset field of an image (rows, cols); without subsets if there is no reference yet.
@@ -136,6 +154,7 @@ class SubsetTracking:
             self._correlation.step,
             self._layout.drawn_px,
             homography,
+            self._regions,
         )
         self._textured, self._wants_reference = textured, False
         self._follow_from(keyframe)

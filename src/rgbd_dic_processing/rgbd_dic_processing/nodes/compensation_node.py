@@ -14,7 +14,7 @@ from rgbd_dic_msgs.msg import FramePair, PlaneStamped, Reference, SubsetField
 
 from ..core.displacement import DisplacementMeasurement
 from ..core.displacement_field import DisplacementField
-from ..core.regions import load_regions
+from ..core.regions_file import load_regions
 from ..core.sensor_delay import TOLD_AS
 from ..core.settings import CompensationSettings
 from ..core.status import FrameStatus

@@ -4,22 +4,24 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from functools import partial
 
 from rclpy.node import Node
 from rgbd_dic_acquisition.calibration import Camera
 from rgbd_dic_acquisition.errors import RegionsError
 from rgbd_dic_acquisition.nodes.diagnostics import Diagnostics
 from rgbd_dic_acquisition.nodes.parameters import declare, declare_path
-from rgbd_dic_acquisition.nodes.ros_messages import make
+from rgbd_dic_acquisition.nodes.ros_messages import latched_qos, make
 from rgbd_dic_acquisition.nodes.spinning import run
 
-from rgbd_dic_msgs.msg import CrackOpening, DisplacementField
+from rgbd_dic_msgs.msg import CrackOpening, DisplacementField, Reference
 
 from ..core.crack import CrackMeasurement
-from ..core.regions import load_regions
+from ..core.displacement_field import DisplacementField as CoreField
+from ..core.regions_file import load_regions
 from ..core.settings import CrackSettings
-from .inputs import STREAM_DEPTH, CameraInput, sensor_qos
-from .messages import crack_opening_message, displacement_field_from_message
+from .inputs import STREAM_DEPTH, CameraInput, OfReference, sensor_qos
+from .messages import crack_opening_message, displacement_field_from_message, reference_from_message
 
 
 class CrackOpeningNode(Node):
@@ -30,6 +32,7 @@ class CrackOpeningNode(Node):
         if regions.crack is None:
             raise RegionsError(f"{path}: has no entry 'crack': draw the measuring zones (see docs/files.md)")
         self._zones = regions.crack
+        self._of_reference = OfReference(self._measure)
         self._settings = declare(self, CrackSettings, "crack")
         self._diagnostics = Diagnostics(self)
         self._output = self._diagnostics.watch(self.create_publisher(CrackOpening, "crack_opening", STREAM_DEPTH))
@@ -37,11 +40,22 @@ class CrackOpeningNode(Node):
 
     def _start(self, camera: Camera) -> None:
         self._crack = CrackMeasurement(camera, self._zones, self._settings)
-        self.create_subscription(DisplacementField, "displacement_field", self._measure, STREAM_DEPTH)
+        self.create_subscription(Reference, "reference", partial(self._reference, camera), latched_qos())
+        self.create_subscription(
+            DisplacementField,
+            "displacement_field",
+            lambda message: self._of_reference.add(displacement_field_from_message(message)),
+            STREAM_DEPTH,
+        )
 
-    def _measure(self, message: DisplacementField) -> None:
-        field = displacement_field_from_message(message)
-        opening = self._crack.measure(field)
+    def _reference(self, camera: Camera, message: Reference) -> None:
+        reference = reference_from_message(message)
+        zones = (reference.regions.crack if reference.regions else None) or self._zones
+        self._crack = CrackMeasurement(camera, zones, self._settings)
+        self._of_reference.know(reference.stamp_ns, self._crack)
+
+    def _measure(self, field: CoreField, crack: CrackMeasurement | None) -> None:
+        opening = (crack or self._crack).measure(field)
         self._diagnostics.count("frames")
         if opening.valid:
             self._diagnostics.ok()

@@ -7,9 +7,10 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
+import numpy as np
 from rclpy.node import Node
 from rgbd_dic_acquisition.calibration import Camera
-from rgbd_dic_acquisition.errors import ImageError, MeasurementError
+from rgbd_dic_acquisition.errors import ImageError, MeasurementError, RgbdDicError
 from rgbd_dic_acquisition.messages import image_from_message, stamp_to_ns
 from rgbd_dic_acquisition.nodes.diagnostics import Diagnostics
 from rgbd_dic_acquisition.nodes.parameters import declare, declare_path
@@ -20,14 +21,16 @@ from std_srvs.srv import Trigger
 
 from rgbd_dic_msgs.msg import Reference as ReferenceMessage
 from rgbd_dic_msgs.msg import SubsetField as SubsetFieldMessage
+from rgbd_dic_msgs.srv import SetRegions
 
 from ..core.correlation import CorrelationSettings
-from ..core.regions import load_regions
+from ..core.regions_file import entries_of_text, load_regions, regions_of
 from ..core.settings import RenewalSettings, SearchSettings
 from ..core.status import FrameStatus
 from ..core.tracking import SubsetTracking
 from .inputs import STREAM_DEPTH, CameraInput, sensor_qos
 from .messages import reference_message, subset_field_message
+from .preview import PreviewOutput, PreviewSettings
 
 
 class DicNode(Node):
@@ -47,6 +50,7 @@ class DicNode(Node):
             self.create_publisher(ReferenceMessage, "reference", latched_qos())
         )
         self._output = self._diagnostics.watch(self.create_publisher(SubsetFieldMessage, "subset_field", STREAM_DEPTH))
+        self._preview = PreviewOutput(self, declare(self, PreviewSettings, "preview"))
         qos = sensor_qos(self)
         self._camera = CameraInput(self, self._diagnostics, qos, self._start)
         for name, step, promise in (
@@ -54,6 +58,7 @@ class DicNode(Node):
             ("~/renew_keyframe", SubsetTracking.renew_keyframe, "the next good image becomes the keyframe"),
         ):
             self.create_service(Trigger, name, partial(self._ask, step, promise))
+        self.create_service(SetRegions, "~/set_regions", self._set_regions)
         self.create_subscription(Image, "camera/image_raw", self._image, qos)
 
     def _start(self, camera: Camera) -> None:
@@ -75,6 +80,26 @@ class DicNode(Node):
             response.message = str(error)
         return response
 
+    def _set_regions(self, request: SetRegions.Request, response: SetRegions.Response) -> SetRegions.Response:
+        try:
+            if self._tracking is None:
+                raise MeasurementError("there is no calibration yet")
+            regions = regions_of(entries_of_text(request.regions))
+            stamp_ns, image = stamp_to_ns(request.image.header.stamp), image_from_message(request.image)
+            tracking = SubsetTracking(self._camera.camera, regions, *self._settings)
+            self._tracking = self._tracking.replaced_by(tracking, stamp_ns, image)
+            self._publish_reference(request.image.header.frame_id)
+            response.success, response.message = True, "measured by the new regions, from their image on"
+        except RgbdDicError as error:
+            response.message = str(error)
+        return response
+
+    def _publish_reference(self, frame_id: str) -> None:
+        reference = self._tracking.reference
+        if reference is not None and reference is not self._published_reference:
+            self._published_reference = reference
+            self._reference_output.publish(reference_message(make, reference, frame_id))
+
     def _image(self, message: Image) -> None:
         received_ns = time.time_ns()
         if self._tracking is None:
@@ -89,10 +114,7 @@ class DicNode(Node):
             image, reason = None, str(error)
         field = self._tracking.track(stamp_to_ns(message.header.stamp), image, reason)
         frame_id = message.header.frame_id
-        reference = self._tracking.reference
-        if reference is not None and reference is not self._published_reference:
-            self._published_reference = reference
-            self._reference_output.publish(reference_message(make, reference, frame_id))
+        self._publish_reference(frame_id)
         if field.keyframe_stamp_ns not in (self._keyframe_ns, field.reference_stamp_ns):
             self._diagnostics.count("renewed keyframes")
             self.get_logger().info(f"the subsets are now followed from the image at {field.keyframe_stamp_ns} ns")
@@ -106,6 +128,8 @@ class DicNode(Node):
             self._diagnostics.ok()
         field = replace(field, image_received_ns=received_ns)
         self._output.publish(subset_field_message(make, field, frame_id))
+        if image is not None and image.dtype == np.uint8:
+            self._preview.offer(image, field, frame_id)
 
 
 def main() -> int:

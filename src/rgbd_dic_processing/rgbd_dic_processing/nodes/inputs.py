@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
@@ -67,6 +69,43 @@ class CameraInput:
     def _take(self, camera: Camera) -> None:
         self.camera = camera
         self._on_camera(camera)
+
+
+Known = TypeVar("Known")
+
+
+class OfReference(Generic[Known]):
+    """Hands fields on with what is known of the reference that they count from, in their order.
+
+    Fields and references come on topics of their own. Once one reference is known, a field of a later one waits for it;
+    before, fields are handed on with None, as in a graph whose references nobody publishes.
+    """
+
+    KEPT = 64  # references; fields of older ones are no longer under way
+
+    def __init__(self, hand_on: Callable[[Any, Known | None], None]):
+        self._hand_on = hand_on
+        self._known: dict[int, Known] = {}
+        self._waiting: deque[Any] = deque(maxlen=STREAM_DEPTH)
+
+    def know(self, stamp_ns: int, known: Known) -> None:
+        """A reference was taken."""
+        self._known[stamp_ns] = known
+        while len(self._known) > self.KEPT:
+            self._known.pop(next(iter(self._known)))
+        self._settle()
+
+    def add(self, field: Any) -> None:
+        """A SubsetField or DisplacementField."""
+        self._waiting.append(field)
+        self._settle()
+
+    def _settle(self) -> None:
+        while self._waiting:
+            stamp_ns = self._waiting[0].reference_stamp_ns
+            if self._known and stamp_ns > max(self._known):
+                return
+            self._hand_on(self._waiting.popleft(), self._known.get(stamp_ns))
 
 
 class IdleFlush:

@@ -25,6 +25,7 @@ from ..core.displacement_field import DisplacementField
 from ..core.geometry import Plane
 from ..core.pairing import FramePair
 from ..core.plane import PlaneEstimate
+from ..core.regions_file import entries_of_text, regions_of, text_of
 from ..core.search import SeedSource
 from ..core.status import FrameStatus
 from ..core.subset_field import Reference, SubsetField
@@ -112,6 +113,7 @@ def reference_message(make: MessageFactory, reference: Reference, frame_id: str)
         drawn_x=reference.drawn_px[:, 0],
         drawn_y=reference.drawn_px[:, 1],
         homography=reference.homography.ravel(),
+        regions=text_of(reference.regions.entries) if reference.regions and reference.regions.entries else "",
     )
 
 
@@ -124,6 +126,7 @@ def reference_from_message(msg: Any) -> Reference:
         int(msg.step),
         np.column_stack([_array(msg.drawn_x), _array(msg.drawn_y)]),
         np.array(msg.homography, float).reshape(3, 3),
+        regions_of(entries_of_text(msg.regions)) if msg.regions else None,
     )
 
 

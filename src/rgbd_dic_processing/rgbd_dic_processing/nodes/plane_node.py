@@ -8,18 +8,21 @@ from rgbd_dic_acquisition.errors import ImageError
 from rgbd_dic_acquisition.messages import depth_from_message, points_from_message, stamp_to_ns
 from rgbd_dic_acquisition.nodes.diagnostics import Diagnostics
 from rgbd_dic_acquisition.nodes.parameters import declare, declare_path
-from rgbd_dic_acquisition.nodes.ros_messages import make
+from rgbd_dic_acquisition.nodes.ros_messages import latched_qos, make
 from rgbd_dic_acquisition.nodes.spinning import run
 from sensor_msgs.msg import Image, PointCloud2
 
 from rgbd_dic_msgs.msg import PlaneStamped
+from rgbd_dic_msgs.msg import Reference as ReferenceMessage
 from rgbd_dic_msgs.msg import SubsetField as SubsetFieldMessage
 
 from ..core.plane import PanelPlane, PlaneEstimate
-from ..core.regions import load_regions
+from ..core.regions import Regions
+from ..core.regions_file import load_regions
 from ..core.settings import PairingSettings, PlaneSettings
-from .inputs import STREAM_DEPTH, IdleFlush, sensor_qos
-from .messages import plane_message, subset_field_from_message
+from ..core.subset_field import SubsetField
+from .inputs import STREAM_DEPTH, IdleFlush, OfReference, sensor_qos
+from .messages import plane_message, reference_from_message, subset_field_from_message
 
 
 class PlaneNode(Node):
@@ -31,6 +34,7 @@ class PlaneNode(Node):
         regions = load_regions(declare_path(self, "regions_file", "regions.yaml: the panel and the crack"))
         pairing = declare(self, PairingSettings, "pairing")
         self._planes = PanelPlane(calibration, regions, declare(self, PlaneSettings, "plane"), pairing.tof_delay_ns)
+        self._of_reference, self._regions = OfReference(self._view), regions
         self._frame_id = "camera_optical_frame"
         self._diagnostics = Diagnostics(self)
         self._output = self._diagnostics.watch(self.create_publisher(PlaneStamped, "plane", STREAM_DEPTH))
@@ -40,6 +44,7 @@ class PlaneNode(Node):
             self.create_subscription(PointCloud2, "tof/points", self._points, qos)
         else:
             self.create_subscription(Image, "tof/depth/image_raw", self._depth, qos)
+        self.create_subscription(ReferenceMessage, "reference", self._reference, latched_qos())
         self.create_subscription(SubsetFieldMessage, "subset_field", self._subset_field, STREAM_DEPTH)
 
     def _depth(self, message: Image) -> None:
@@ -61,7 +66,16 @@ class PlaneNode(Node):
     def _subset_field(self, message: SubsetFieldMessage) -> None:
         self._idle.touch()
         self._frame_id = message.header.frame_id
-        field = subset_field_from_message(message)
+        self._of_reference.add(subset_field_from_message(message))
+
+    def _reference(self, message: ReferenceMessage) -> None:
+        reference = reference_from_message(message)
+        self._of_reference.know(reference.stamp_ns, reference.regions)
+
+    def _view(self, field: SubsetField, regions: Regions | None) -> None:
+        if regions is not None and regions.entries != self._regions.entries:
+            self._regions = regions
+            self._planes.take_regions(regions)
         self._publish(self._planes.add_view(field.stamp_ns, field.view))
 
     def _publish(self, estimates: list[PlaneEstimate]) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from rgbd_dic_acquisition.errors import RgbdDicError
 
-from ..core.regions import load_regions
+from ..core.regions_file import load_regions
 from ..history.comparison import compare_run
 from ..history.files import COMPARISON_NAME, SENSITIVITY_NAME, write_comparison, write_sensitivity
 from ..history.record import read_reference, start_of

@@ -107,7 +107,7 @@ def _outlines(regions: Regions | None) -> tuple[tuple[str, Array], ...]:
     zones = () if regions.crack is None else (regions.crack.left, regions.crack.right)
     return (
         ("panel", regions.panel),
-        *(("fixed region", polygon) for polygon in regions.fixed),
+        *(("fixed region", polygon) for polygon in (*regions.fixed, *regions.fixed_holes)),
         *(("measuring zones", polygon) for polygon in zones),
     )
 

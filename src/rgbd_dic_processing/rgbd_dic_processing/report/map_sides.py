@@ -29,7 +29,7 @@ def sides_of(regions: Regions | None, field: DisplacementField) -> list[Side]:
     crack measures neither side, and one between the crack and the fixed region has no reason to move.
     """
     everything = np.ones(len(field.centres_px), bool)
-    if regions is None or not regions.fixed:
+    if regions is None or not (regions.fixed or regions.fixed_holes):
         return [Side("panel", everything, moves=True)]
     fixed = regions.fixed_members(field.centres_px)
     moving = ~fixed

@@ -15,7 +15,8 @@ from rgbd_dic_acquisition.simulator.laboratory import Laboratory, laboratory_set
 from ...core.correlation import CorrelationSettings
 from ...core.crack import CrackOpening
 from ...core.pipeline import Pipeline
-from ...core.regions import Regions, load_regions
+from ...core.regions import Regions
+from ...core.regions_file import load_regions
 from ...core.settings import ProcessingSettings
 from .errors import rms
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...core.geometry import Plane
 from ...core.plane import PanelPlane, PlaneEstimate
-from ...core.regions import load_regions
+from ...core.regions_file import load_regions
 from ...core.settings import PlaneSettings
 from ...core.status import FrameStatus
 from .recording import load_recording, regions_file

@@ -10,7 +10,7 @@ import numpy as np
 import yaml
 
 from ...core.correlation import CorrelationSettings
-from ...core.regions import load_regions
+from ...core.regions_file import load_regions
 from ...core.search import SeedSource
 from ...core.settings import RenewalSettings, SearchSettings
 from ...core.status import FrameStatus

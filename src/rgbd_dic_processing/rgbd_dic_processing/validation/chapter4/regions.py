@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 from rgbd_dic_acquisition.simulator.laboratory import Laboratory
 
-from ...core.regions import Regions, load_regions
+from ...core.regions import Regions
+from ...core.regions_file import load_regions
 
 REGIONS = ("near", "half", "whole")
 NEAR_M = (0.12, 0.1)  # half the width and half the height of the small region around the crack

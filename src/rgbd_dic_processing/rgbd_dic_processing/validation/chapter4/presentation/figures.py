@@ -11,7 +11,8 @@ from matplotlib.image import AxesImage
 from numpy.typing import NDArray
 from rgbd_dic_acquisition.errors import RgbdDicError
 
-from ....core.regions import Regions, load_regions
+from ....core.regions import Regions
+from ....core.regions_file import load_regions
 from ....history.comparison import compare_run
 from ....history.record import start_of
 from ....report import zones

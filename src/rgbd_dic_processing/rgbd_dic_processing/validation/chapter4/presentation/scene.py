@@ -11,7 +11,8 @@ from rgbd_dic_acquisition.calibration import pixel_rays
 from rgbd_dic_acquisition.simulator.laboratory import Laboratory
 
 from ....core.plane import fit_plane
-from ....core.regions import inside, load_regions
+from ....core.regions import inside
+from ....core.regions_file import load_regions
 from ....core.settings import PlaneSettings
 from ....report.drawing import BLUE, GREEN, ORANGE, SKY, VERMILION, Picture, appearance, new_figure, save
 from ..chapter import MAPPED, METHODS, Chapter4

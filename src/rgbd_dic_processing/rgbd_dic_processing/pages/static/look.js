@@ -1,0 +1,81 @@
+// Shows what the server says of the regions: subsets by their expected uncertainty, sizes, what cannot work.
+
+export const SIGMA_CLASSES = [
+  {words: "up to 0.01 px", below: 0.01, color: "#2166ac"},
+  {words: "up to 0.02 px", below: 0.02, color: "#67a9cf"},
+  {words: "up to 0.05 px", below: 0.05, color: "#fdae61"},
+  {words: "more: too little texture", below: Infinity, color: "#b2182b"},
+  {words: "none: cannot be found", below: null, color: "none"},
+];
+const SIZES = {
+  "distance": "Distance of the panel", "pixel": "One pixel", "panel width": "Panel, width",
+  "panel height": "Panel, height", "x axis": "x axis", "left zone across": "Left zone, across",
+  "left zone along": "Left zone, along", "right zone across": "Right zone, across",
+  "right zone along": "Right zone, along", "between zone centres": "Between the zones' centres",
+};
+const COUNTS = {panel: "Panel", fixed: "Fixed region", left: "Left zone", right: "Right zone"};
+
+export function paintSubsets(context, look, scene, scale) {
+  const {x, y, sigma, zone} = look.subsets, side = Math.min(scene.step * 0.55, 14), half = side / 2;
+  context.lineWidth = Math.max(1 / scale, 0.3);
+  for (let i = 0; i < x.length; i++) {
+    if (sigma[i] === null) {
+      for (const [color, width] of [["#000", 3], ["#fff", 1.4]]) {
+        context.strokeStyle = color;
+        context.lineWidth = width / scale;
+        context.beginPath();
+        context.moveTo(x[i] - half, y[i] - half);
+        context.lineTo(x[i] + half, y[i] + half);
+        context.moveTo(x[i] + half, y[i] - half);
+        context.lineTo(x[i] - half, y[i] + half);
+        context.stroke();
+      }
+      continue;
+    }
+    context.globalAlpha = zone[i] ? 0.95 : 0.6;
+    context.fillStyle = SIGMA_CLASSES.find(({below}) => below !== null && sigma[i] <= below).color;
+    context.fillRect(x[i] - half, y[i] - half, side, side);
+    context.globalAlpha = 1;
+  }
+}
+
+export function showLook(look, problem, begun) {
+  const refusals = problem ? [problem] : look ? look.refusals : begun ? ["draw the panel first"] : [];
+  list("refusals", refusals);
+  list("warnings", look ? look.warnings : []);
+  const fine = look && !refusals.length;
+  document.getElementById("verdict").textContent =
+    fine ? "These regions can be measured." : refusals.length ? "This cannot work yet:" : "Begin with the panel.";
+  document.getElementById("verdict").classList.toggle("fine", Boolean(fine));
+  const counts = Object.entries(COUNTS).filter(([key]) => look?.counts[key][0]).map(([key, words]) => {
+    const [all, textured] = look.counts[key];
+    return [words, textured === all ? `${all}` : `${textured} of ${all} have texture`];
+  });
+  rows("counts", counts);
+  const sizes = Object.entries(SIZES).filter(([key]) => look?.sizes_mm[key] != null).map(([key, words]) =>
+    [words, `${look.sizes_mm[key].toFixed(key === "pixel" ? 3 : key === "distance" ? 0 : 1)} mm`]);
+  if (look?.u_opening_mm != null) sizes.push(["Noise of one opening, from texture", `${look.u_opening_mm.toFixed(4)} mm`]);
+  else if (look?.u_opening_px != null)
+    sizes.push(["Noise of one opening, from texture", `${look.u_opening_px.toFixed(4)} px`]);
+  rows("sizes", sizes);
+  document.getElementById("no-sizes").textContent = look?.no_sizes ? `No sizes in mm: ${look.no_sizes}.` : "";
+}
+
+function list(id, words) {
+  const element = document.getElementById(id);
+  element.hidden = !words.length;
+  element.replaceChildren(...words.map((text) => {
+    const item = document.createElement("li");
+    item.textContent = text;
+    return item;
+  }));
+}
+
+function rows(id, pairs) {
+  document.getElementById(id).replaceChildren(...pairs.flatMap(([name, value]) => {
+    const term = document.createElement("dt"), detail = document.createElement("dd");
+    term.textContent = name;
+    detail.textContent = value;
+    return [term, detail];
+  }));
+}

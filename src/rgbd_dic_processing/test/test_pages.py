@@ -1,0 +1,289 @@
+"""The pages' server without a graph: who gets in, many viewers, lost ones, hostile requests, the record of a flight."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+import socket
+import threading
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import pairwise
+
+import aiohttp
+import cv2
+import numpy as np
+import pytest
+from rgbd_dic_acquisition.errors import RgbdDicError, SettingsError
+from rgbd_dic_processing.core.crack import CrackOpening
+from rgbd_dic_processing.core.status import FrameStatus
+from rgbd_dic_processing.pages.access import Access, is_loopback
+from rgbd_dic_processing.pages.flight_record import FlightRecord
+from rgbd_dic_processing.pages.live_page import LivePage
+from rgbd_dic_processing.pages.live_state import LiveState, Picture
+from rgbd_dic_processing.pages.server import ServerThread, make_app
+
+START_NS = 1_750_000_000_000_000_000
+TOKEN = "a-token-of-the-test"
+
+
+def opening(time_s: float, value_m: float) -> CrackOpening:
+    """An opening at a time since the start; NaN is one that is not valid."""
+    valid = math.isfinite(value_m)
+    return CrackOpening(
+        START_NS + round(time_s * 1e9),
+        START_NS,
+        "h_pose",
+        FrameStatus.OK if valid else FrameStatus.LOST,
+        "" if valid else "the reference pattern was not found in the image",
+        *(value_m, 0.0 if valid else math.nan, math.nan, abs(value_m)),
+        *(2e-6 if valid else math.nan, 2e-6 if valid else math.nan, math.nan, math.nan),
+        *(70, 71, 0.002),
+    )
+
+
+class Served:
+    """The live page in a thread, on a free port of the loopback."""
+
+    def __init__(self, token: str | None, most_viewers: int = 4):
+        self.state = LiveState(most_viewers)
+        access = Access("127.0.0.1", 0, token)
+        told: list[str] = []
+        self.thread = ServerThread(make_app(access, LivePage(self.state).routes(), "/live"), access, told.append)
+        deadline = time.monotonic() + 10
+        while not told and time.monotonic() < deadline:
+            self.thread.check()
+            time.sleep(0.01)
+        self.address = told[0].split("?")[0]
+        self.port = int(self.address.rstrip("/").rsplit(":", 1)[1])
+
+    def ask(self, path: str, data: bytes | None = None, **headers: str) -> tuple[int, bytes]:
+        """Status and body of an answer; redirections are not followed."""
+        request = urllib.request.Request(self.address + path.lstrip("/"), data, headers)
+        opener = urllib.request.build_opener(NoRedirection)
+        try:
+            with opener.open(request, timeout=10) as answer:
+                return answer.status, answer.read()
+        except urllib.error.HTTPError as error:
+            return error.code, error.read()
+
+
+class NoRedirection(urllib.request.HTTPRedirectHandler):
+    def redirect_request(self, *_: object) -> None:
+        return None
+
+
+@pytest.fixture
+def served() -> Iterator[Served]:
+    server = Served(None)
+    yield server
+    server.thread.close()
+
+
+@pytest.fixture
+def guarded() -> Iterator[Served]:
+    server = Served(TOKEN)
+    yield server
+    server.thread.close()
+
+
+def test_only_the_loopback_needs_no_token(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert all(is_loopback(host) for host in ("127.0.0.1", "127.8.8.8", "localhost", "::1"))
+    assert not any(is_loopback(host) for host in ("0.0.0.0", "192.168.1.2", "drone.local", "", "::"))
+    assert Access.on("127.0.0.1", 80).token is None
+    monkeypatch.delenv("RGBD_DIC_TOKEN", raising=False)
+    tokens = {Access.on("0.0.0.0", 80).token for _ in range(3)}
+    assert len(tokens) == 3 and all(len(token) >= 20 for token in tokens)
+    monkeypatch.setenv("RGBD_DIC_TOKEN", "short")
+    with pytest.raises(SettingsError, match="at least 12"):
+        Access.on("0.0.0.0", 80)
+
+
+def test_a_token_is_asked_for_and_kept_in_a_cookie(guarded: Served) -> None:
+    assert guarded.ask("/live")[0] == 401
+    assert guarded.ask("/live?token=another-token-of-it")[0] == 401
+    assert guarded.ask("/live/event", b'{"text": "x"}', **{"Content-Type": "application/json"})[0] == 401
+    request = urllib.request.Request(f"{guarded.address}live?token={TOKEN}")
+    with pytest.raises(urllib.error.HTTPError) as answer:
+        urllib.request.build_opener(NoRedirection).open(request, timeout=10)
+    cookie = answer.value.headers["Set-Cookie"]
+    assert answer.value.code == 302 and answer.value.headers["Location"] == "/live"
+    assert "HttpOnly" in cookie and "SameSite=Strict" in cookie
+    assert guarded.ask("/live", Cookie=cookie.split(";")[0])[0] == 200
+
+
+@pytest.mark.parametrize(
+    "path, data, headers, status",
+    [
+        ("/live", None, {"Host": "evil.example"}, 403),  # a name that was made to resolve to this computer
+        ("/live/event", b'{"text": "x"}', {"Origin": "http://evil.example", "Content-Type": "application/json"}, 403),
+        ("/live/event", b"text=x", {"Content-Type": "application/x-www-form-urlencoded"}, 415),
+        ("/live/event", b"{", {"Content-Type": "application/json"}, 400),
+        ("/live/event", b"[1]", {"Content-Type": "application/json"}, 400),
+        ("/live/event", b"[" * 100_000, {"Content-Type": "application/json"}, 400),
+        ("/live/event", b'{"text": 5}', {"Content-Type": "application/json"}, 400),
+        ("/live/event", json.dumps({"text": "x" * 201}).encode(), {"Content-Type": "application/json"}, 422),
+        ("/live/event", b" " * (2 << 20), {"Content-Type": "application/json"}, 413),
+        ("/live/recording", b'{"on": "yes"}', {"Content-Type": "application/json"}, 400),
+        ("/live/picture?after=x", None, {}, 400),
+        ("/static/../server.py", None, {}, 404),
+        ("/static/%2e%2e/server.py", None, {}, 404),
+        ("/live/numbers", None, {}, 400),  # not a WebSocket
+    ],
+)
+def test_hostile_requests_are_refused(served: Served, path: str, data: bytes, headers: dict, status: int) -> None:
+    assert served.ask(path, data, **headers)[0] == status
+    assert served.ask("/live")[0] == 200
+
+
+def test_answers_carry_the_headers_that_keep_a_browser_safe(served: Served) -> None:
+    with urllib.request.urlopen(f"{served.address}live", timeout=10) as answer:
+        assert "default-src 'self'" in answer.headers["Content-Security-Policy"]
+        assert answer.headers["X-Content-Type-Options"] == "nosniff"
+
+
+def test_viewers_see_the_same_and_too_many_are_refused(served: Served) -> None:
+    """Four look, a fifth is told that it is too many; one leaves without a word, and its place is free again."""
+    values = np.linspace(0, 1e-3, 50)
+    for index, value in enumerate(values):
+        served.state.add_opening(opening(index / 60, value))
+
+    async def look() -> None:
+        async with aiohttp.ClientSession() as session:
+            address = f"{served.address}live/numbers"
+            viewers = [await session.ws_connect(address) for _ in range(4)]
+            firsts = [await viewer.receive_json(timeout=5) for viewer in viewers]
+            assert all(first["last"]["opening_mm"] == pytest.approx(1.0) for first in firsts)
+            assert all([s[1] for s in first["samples"]] == pytest.approx(1e3 * values, abs=1e-6) for first in firsts)
+            with pytest.raises(aiohttp.WSServerHandshakeError) as refused:
+                await session.ws_connect(address)
+            assert refused.value.status == 503
+            viewers[0]._response.connection.transport.abort()
+            for _ in range(100):
+                await asyncio.sleep(0.05)
+                if served.state.surroundings()["viewers"] == 3:
+                    break
+            late = await session.ws_connect(address)
+            assert (await late.receive_json(timeout=5))["last"]["opening_mm"] == pytest.approx(1.0)
+            served.state.add_opening(opening(1.0, 2e-3))
+            while not (news := await viewers[1].receive_json(timeout=5))["samples"]:
+                pass
+            assert news["samples"][0][1] == pytest.approx(2.0) and not news["from_start"]
+            for viewer in (*viewers[1:], late):
+                await viewer.close()
+
+    asyncio.run(look())
+    deadline = time.monotonic() + 5
+    while served.state.surroundings()["viewers"] and time.monotonic() < deadline:
+        time.sleep(0.02)
+    assert not served.state.watched(linger_s=0.0)
+
+
+def test_a_viewer_that_reads_nothing_holds_nobody_up(served: Served) -> None:
+    """It fills its socket and stops; the openings of the others go on."""
+    silent = socket.create_connection(("127.0.0.1", served.port))
+    silent.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    silent.sendall(
+        f"GET /live/numbers HTTP/1.1\r\nHost: 127.0.0.1:{served.port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+        "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n".encode()
+    )
+    served.state.add_opening(opening(0.0, 0.0))
+    feeding = threading.Event()
+
+    def feed() -> None:
+        index = 0
+        while not feeding.wait(0.002):
+            index += 1
+            served.state.add_opening(opening(index * 0.01, 1e-6 * index))
+
+    thread = threading.Thread(target=feed)
+    thread.start()
+
+    async def look() -> list[float]:
+        async with aiohttp.ClientSession() as session, session.ws_connect(f"{served.address}live/numbers") as viewer:
+            return [(await viewer.receive_json(timeout=5))["last"]["time"] for _ in range(8)]
+
+    try:
+        times = asyncio.run(look())
+    finally:
+        feeding.set()
+        thread.join()
+        silent.close()
+    assert all(later > earlier for earlier, later in pairwise(times))
+
+
+def test_pictures_come_one_by_one(served: Served) -> None:
+    assert not served.state.picture_wanted()
+    grey = np.tile(np.linspace(20, 200, 40).astype(np.uint8), (30, 1))
+    outlines = {"panel": [[[1, 2], [3, 4], [5, 6]]]}
+    with served.state.viewer():
+        threading.Timer(
+            0.3, lambda: served.state.set_picture(Picture(7, START_NS, 80, 60, grey, 90, outlines, ""))
+        ).start()
+        status, body = served.ask("/live/picture?after=-1")  # it waits until there is one
+        about, jpeg = body.split(b"\n", 1)
+        seen = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_GRAYSCALE)
+        assert status == 200 and seen.shape == grey.shape and np.abs(seen.astype(int) - grey).max() < 10
+        assert json.loads(about) == {
+            **{"number": 7, "stamp_ns": str(START_NS), "width": 80, "height": 60},
+            **{"outlines": outlines, "reason": ""},
+        }
+        assert served.state.picture_wanted()
+    assert not served.state.picture_wanted()  # nobody looks
+
+
+def test_orders_reach_the_node_and_its_words_the_viewer(served: Served) -> None:
+    def node() -> None:
+        for answer in ("the next good image becomes the reference", RgbdDicError("dic_node is not running")):
+            order = served.state.orders.get(timeout=10)
+            assert order.what == "reference"
+            order.answer(answer)
+            order.answer("too late")
+
+    thread = threading.Thread(target=node)
+    thread.start()
+    json_type = {"Content-Type": "application/json"}
+    assert served.ask("/live/reference", b"{}", **json_type) == (
+        200,
+        b'{"done":"the next good image becomes the reference"}',
+    )
+    assert served.ask("/live/reference", b"{}", **json_type) == (422, b'{"error": "dic_node is not running"}')
+    thread.join()
+
+
+def test_a_taken_port_is_told(served: Served) -> None:
+    access = Access("127.0.0.1", served.port, None)
+    thread = ServerThread(make_app(access, [], "/live"), access, lambda _: None)
+    deadline = time.monotonic() + 10
+    with pytest.raises(RgbdDicError, match=f"port {served.port}.*another --port"):
+        while time.monotonic() < deadline:
+            thread.check()
+            time.sleep(0.01)
+    thread.close()
+
+
+def test_record_of_a_flight() -> None:
+    """Of 100 s with a peak that lasts one image: the minute holds 60 s, the overview keeps the peak and the gap."""
+    record = FlightRecord()
+    for index in range(1001):
+        value = 5e-3 if index == 321 else math.nan if 500 <= index < 600 else 1e-3
+        record.add(opening(index / 10, value))
+    samples, following = record.since(0, window_s=60.0)
+    assert following == 1001 and samples[0][0] == 40.0 and samples[-1][0] == 100.0
+    assert samples[100][1:] == [None, None] and samples[-1][1:] == [1.0, 0.002]
+    assert record.since(1000, 60.0)[0] == samples[-1:] and record.since(following, 60.0)[0] == []
+    overview = record.overview(50)
+    assert overview["end"] == 100.0 and overview["high"][16] == 5.0 and overview["low"][16] == 1.0
+    assert overview["low"][27] is None and overview["invalid"][27] == 1.0 and sum(overview["invalid"]) == 5.0
+
+
+def test_a_bag_that_is_played_again_begins_another_flight() -> None:
+    record = FlightRecord()
+    for time_s in (0.0, 0.1, 0.2, 10.0):
+        record.add(opening(time_s, 1e-3))
+    record.add(replace(opening(0.0, 2e-3)))
+    assert record.flight == 1 and record.since(0, 60.0) == ([[0.0, 2.0, 0.002]], 1)
