@@ -26,8 +26,8 @@ FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-background-networking", "--
 
 
 @contextmanager
-def serving(*arguments: object) -> Iterator[str]:
-    """`rgbd-dic` with these arguments; gives the address that it prints."""
+def serving(folder: Path, *arguments: object) -> Iterator[str]:
+    """`rgbd-dic` with these arguments in a folder; gives the address that it prints."""
     environment = {name: value for name, value in os.environ.items() if name != "_ROS_WHEELS_BOOTSTRAP_COMPLETE"}
     process = subprocess.Popen(
         ["rgbd-dic", *map(str, arguments)],
@@ -35,6 +35,7 @@ def serving(*arguments: object) -> Iterator[str]:
         stderr=subprocess.DEVNULL,
         text=True,
         env=environment,
+        cwd=folder,
     )
     try:
         yield next(found.group() for line in process.stdout if (found := re.search(r"http://\S+", line)))
@@ -64,11 +65,11 @@ def main() -> int:
         work = Path(made)
         browser = playwright.chromium.launch(executable_path="/usr/bin/chromium", args=FLAGS)
         pages = {
-            "regions": (regions, ("regions", SAMPLE, "--out", work / "regions.yaml", "--port", 0)),
-            "live": (live, ("up", SAMPLE, "--rate", 0.08, "--page", 8498, "--domain", 99, "--out", work / "run")),
+            "regions": (regions, ("regions", SAMPLE, "--out", "regions.yaml", "--port", 0)),
+            "live": (live, ("up", SAMPLE, "--rate", 0.08, "--page", 8498, "--domain", 99, "--out", "run")),
         }
         for name, (prepare, arguments) in pages.items():
-            with serving(*arguments) as address:
+            with serving(work, *arguments) as address:
                 page = browser.new_page(viewport=SIZES["laptop"])
                 page.goto(address)
                 prepare(page)

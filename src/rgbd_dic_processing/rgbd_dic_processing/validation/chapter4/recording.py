@@ -52,7 +52,8 @@ def record(folder: Path, laboratory: Values, settings: dict[str, dict[str, Any]]
         for exposure in lab.exposures()
         if exposure.sensor == "camera"
     ]
-    _save(_fields_file(folder, name), tracking.reference, fields)
+    reference = dataclasses.replace(tracking.reference, regions=None)  # each replay brings its own
+    _save(_fields_file(folder, name), reference, fields)
     return name
 
 
@@ -102,8 +103,9 @@ def _save(path: Path, reference: Reference, fields: list[SubsetField]) -> None:
 
 
 def _as_arrays(entries: list[Any]) -> dict[str, np.ndarray]:
-    """Field of a dataclass -> its values in all entries."""
-    return {f.name: np.array([getattr(one, f.name) for one in entries]) for f in dataclasses.fields(entries[0])}
+    """Field of a dataclass -> its values in all entries; without fields that are None."""
+    names = [field.name for field in dataclasses.fields(entries[0]) if getattr(entries[0], field.name) is not None]
+    return {name: np.array([getattr(one, name) for one in entries]) for name in names}
 
 
 def _from_arrays(kind: type, values: dict[str, Any]) -> Any:
