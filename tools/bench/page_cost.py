@@ -31,6 +31,7 @@ crack: {point: [720, 540], direction: [0, 1], size: [200, 400], gap: 40}
 def publish() -> None:
     """The graph's part, until it is ended."""
     import rclpy
+    from rclpy.signals import SignalHandlerOptions
     from rgbd_dic_acquisition.calibration import Camera
     from rgbd_dic_acquisition.messages import camera_info_message, image_message
     from rgbd_dic_acquisition.nodes.ros_messages import latched_qos, make
@@ -48,7 +49,7 @@ def publish() -> None:
     from rgbd_dic_msgs import msg
 
     prepare_process()
-    rclpy.init(args=[])
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node("graph")
     kinds = {
         "camera/image_raw": Image,
