@@ -6,7 +6,6 @@ import ctypes
 import os
 import signal
 import sys
-import threading
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -39,9 +38,9 @@ def run(node_factory: Callable[[], Node], args: Sequence[str] | None = None) -> 
     """
     prepare_process()
     program = Path(sys.argv[0]).stem
-    stop = threading.Event()
+    signals: list[int] = []  # no Event: its lock may be held by what a signal interrupts, such as another signal
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
+        signal.signal(number, lambda number, _: signals.append(number))
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # the errors of malformed arguments and parameter files have no common base
@@ -52,7 +51,7 @@ def run(node_factory: Callable[[], Node], args: Sequence[str] | None = None) -> 
         executor = EventsExecutor()
         executor.add_node(node)
         try:
-            _spin(node, executor, stop)
+            _spin(node, executor, signals)
         finally:
             _close(node, executor)
     except RgbdDicError as error:
@@ -63,12 +62,12 @@ def run(node_factory: Callable[[], Node], args: Sequence[str] | None = None) -> 
     return 0
 
 
-def _spin(node: Node, executor: Any, stop: threading.Event) -> None:
+def _spin(node: Node, executor: Any, signals: list[int]) -> None:
     # EventsExecutor.spin() without a timeout would never notice the signals.
     work: Iterator[float] = node.work() if hasattr(node, "work") else iter(lambda: TURN_S, None)
     try:
         for wait_s in work:
-            if stop.is_set() or not rclpy.ok():
+            if signals or not rclpy.ok():
                 return
             executor.spin_once(timeout_sec=min(max(wait_s, 0.0), TURN_S))
     except (ExternalShutdownException, InvalidHandle):
