@@ -46,7 +46,7 @@ class GraphWatch:
         self._executor.add_node(self._node)
         self._matched: dict[tuple[str, str], int] = {}
 
-    def refuse_second_graph(self, nodes: list[NodeSpec], settle_s: float = 1.0) -> None:
+    def refuse_second_graph(self, nodes: list[NodeSpec], settle_s: float = 2.0) -> None:
         """Raise if nodes of these names run in this ROS domain already: two graphs would mix their topics."""
         self.spin(settle_s)
         running = {name for name, _ in self._node.get_node_names_and_namespaces()}

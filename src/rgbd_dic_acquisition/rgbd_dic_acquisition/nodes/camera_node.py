@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -23,11 +22,11 @@ from ..sources import ImageFrame
 from .diagnostics import Diagnostics
 from .parameters import declare, declare_path
 from .ros_messages import QosSettings, image_qos, make
+from .sensor_health import SensorHealth
 from .spinning import run
 
 READ_S = 0.02
 TIME_REFERENCE = "sensor_msgs/msg/TimeReference"
-SAY_LOSS_S = 2.0
 
 
 @dataclass(frozen=True)
@@ -55,9 +54,8 @@ class CameraNode(Node):
         self._source = self._make_source(flight, driver, calibrated)
         self._camera = calibrated or self._source.camera
         self._revival = Revival(self._source)
-        self._counted: Counter[str] = Counter()
-        self._loss = (float("-inf"), "")
         self._diagnostics = Diagnostics(self)
+        self._health = SensorHealth(self._diagnostics, self._revival, self._source, self._loss)
         qos = image_qos(self._settings)
         self._image = self._diagnostics.watch(self.create_publisher(Image, "camera/image_raw", qos))
         self._info = self._diagnostics.watch(self.create_publisher(CameraInfo, "camera/camera_info", qos))
@@ -74,7 +72,7 @@ class CameraNode(Node):
             ran = self._revival.runs
             if frame is not None:
                 self._publish(frame)
-            self._report()
+            self._health.report()
             yield 0.0
 
     def close(self) -> None:
@@ -102,22 +100,10 @@ class CameraNode(Node):
             device = stamp_message(make, frame.device_ns)
             self._time.publish(make(TIME_REFERENCE, header=header, time_ref=device, source="camera"))
 
-    def _report(self) -> None:
-        new = self._source.counts - self._counted
-        self._counted = Counter(self._source.counts)
-        for name, count in new.items():
-            self._diagnostics.count(name, count)
-        now = time.monotonic()
-        if new["lost"] or new["incomplete"]:
-            self._loss = (now, "images are lost on the way from the camera: see docs/payload.md, camera")
-        for name, value in self._source.told.items():
-            self._diagnostics.tell(name, value)
-        self._diagnostics.tell("reopened", str(self._revival.reopened))
-        problem = self._revival.problem or (self._loss[1] if now - self._loss[0] < SAY_LOSS_S else "")
-        if problem:
-            self._diagnostics.warn(problem)
-        else:
-            self._diagnostics.ok()
+    @staticmethod
+    def _loss(new: Counter[str]) -> str:
+        lost = new["lost"] or new["incomplete"]
+        return "images are lost on the way from the camera: see docs/payload.md, camera" if lost else ""
 
     def _say_progress(self, done: int, total: int) -> None:
         if self._closing:
