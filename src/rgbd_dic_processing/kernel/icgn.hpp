@@ -57,6 +57,8 @@ constexpr double kFirstRate = 0.1, kLeastRate = 0.002;
 constexpr double kNoiseRest = 2.0;
 // The last step is at most this long, so that the residual before it tells of the one after it.
 constexpr double kLongestLastStep = 0.02;  // px
+// Of what the last step takes off the residual's power, the part that stays in doubt: a step is not linear.
+constexpr double kNotLinear = 0.01;
 
 // A subset with a ZNCC as low as kAbsurd after three iterations, or as kHopeless after kPatience, is not
 // there.
@@ -296,7 +298,7 @@ class SubsetMatch {
       // |r|^2 = |(r + D dp) - D dp|^2; across the pattern what is left is as little along D as along J.
       const double taken = block.dx_dx * u_u + 2.0 * block.dx_dy * u_v + block.dy_dy * v_v;
       r.r_r += static_cast<float>(2.0 * (r.r_jx * u_0 + r.r_jy * v_0) - taken);
-      r.r_r = std::max(r.r_r, 0.0f);
+      r.r_r = std::max(r.r_r, static_cast<float>(kNotLinear * taken));
       after.power += r.r_r;
     }
     return after;
