@@ -22,10 +22,9 @@ from ..sources import ImageFrame
 from .diagnostics import Diagnostics
 from .parameters import declare, declare_path
 from .ros_messages import QosSettings, image_qos, make
-from .sensor_health import SensorHealth
+from .sensor_reading import SensorHealth, read_sensor
 from .spinning import run
 
-READ_S = 0.02
 TIME_REFERENCE = "sensor_msgs/msg/TimeReference"
 
 
@@ -63,17 +62,7 @@ class CameraNode(Node):
 
     def work(self) -> Iterator[float]:
         """Publish frame after frame."""
-        self._revival.open()
-        ran = False
-        while True:
-            frame = self._revival.read(READ_S)
-            if self._revival.runs and not ran:
-                self.get_logger().info(f"{self._settings.source} camera runs: {self._camera}")
-            ran = self._revival.runs
-            if frame is not None:
-                self._publish(frame)
-            self._health.report()
-            yield 0.0
+        return read_sensor(self._revival, self._health, self._publish, self._say_what_runs)
 
     def close(self) -> None:
         self._closing = True
@@ -99,6 +88,9 @@ class CameraNode(Node):
             header = header_message(make, frame.stamp_ns, "")
             device = stamp_message(make, frame.device_ns)
             self._time.publish(make(TIME_REFERENCE, header=header, time_ref=device, source="camera"))
+
+    def _say_what_runs(self) -> None:
+        self.get_logger().info(f"{self._settings.source} camera runs: {self._camera}")
 
     @staticmethod
     def _loss(new: Counter[str]) -> str:

@@ -33,10 +33,9 @@ from ..sources import DepthFrame
 from .diagnostics import Diagnostics, WatchedPublisher
 from .parameters import declare, declare_path
 from .ros_messages import QosSettings, image_qos, latched_qos, make, message_class
-from .sensor_health import SensorHealth
+from .sensor_reading import SensorHealth, read_sensor
 from .spinning import run
 
-READ_S = 0.02
 TIME_REFERENCE = "sensor_msgs/msg/TimeReference"
 
 
@@ -90,17 +89,7 @@ class TofNode(Node):
 
     def work(self) -> Iterator[float]:
         """Publish frame after frame."""
-        self._revival.open()
-        ran = False
-        while True:
-            frame = self._revival.read(READ_S)
-            if self._revival.runs and not ran:
-                self._say_what_runs()
-            ran = self._revival.runs
-            if frame is not None:
-                self._publish(frame)
-            self._health.report()
-            yield 0.0
+        return read_sensor(self._revival, self._health, self._publish, self._say_what_runs)
 
     def close(self) -> None:
         self._revival.close()

@@ -1,16 +1,34 @@
-"""What a node says on /diagnostics of a sensor that Revival keeps going."""
+"""The work of a node that reads a sensor which Revival keeps going, and what it says of it on /diagnostics."""
 
 from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from ..revival import RevivableSource, Revival
 from .diagnostics import Diagnostics
 
+READ_S = 0.02
 SAY_LOSS_S = 2.0
+
+
+def read_sensor(
+    revival: Revival[Any], health: SensorHealth, publish: Callable[[Any], None], say_that_it_runs: Callable[[], None]
+) -> Iterator[float]:
+    """The `work()` of a node: frame after frame, for ever."""
+    revival.open()
+    ran = False
+    while True:
+        frame = revival.read(READ_S)
+        if revival.runs and not ran:
+            say_that_it_runs()
+        ran = revival.runs
+        if frame is not None:
+            publish(frame)
+        health.report()
+        yield 0.0
 
 
 class SensorHealth:
