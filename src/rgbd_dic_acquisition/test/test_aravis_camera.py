@@ -59,7 +59,9 @@ def test_images_come_whole_in_order_and_at_the_set_rate():
     stamps = np.array([frame.stamp_ns for frame in frames])
     devices = np.array([frame.device_ns for frame in frames])
     assert np.all(np.diff(stamps) > 0) and np.all(np.diff(devices) > 0)
-    assert np.min(np.diff(devices)) == pytest.approx(0.01 * NS, rel=0.5)  # a busy computer's camera leaves some out
+    # At most one image in each period, and in most of them one; a busy computer's camera is late with some.
+    assert devices[-1] - devices[0] > 0.01 * NS * (len(frames) - 2)
+    assert np.median(np.diff(devices)) == pytest.approx(0.01 * NS, rel=0.5)
     assert 0 <= now_ns - stamps[-1] < 5 * NS
     assert camera.counts["received"] >= 150 and "serial number GV42" in camera.told["camera"]
 

@@ -94,6 +94,9 @@ class AutopilotReadings:
         if not abs(norm - 1) < 0.01 or message.time_boot_ms == 0:  # also true of NaN; 0 says that it is not known
             self.counts["invalid"] += 1
             return None
+        if 0 <= self._boot_ms - message.time_boot_ms < LONGEST_PERIOD_S * 1e3:
+            self.counts["overtaken"] += 1  # or sent twice within the step of the autopilot's clock
+            return None
         self.counts["attitude"] += 1
         self.attitude_at = time.monotonic()
         self._observe_period(message.time_boot_ms)

@@ -68,7 +68,7 @@ class Autopilot:
 
     Attributes:
         counts: messages by what became of them: "attitude", "system_time", "timesync", "heartbeat", "other",
-            "garbage" or "invalid"; and how often the link was "reopened".
+            "garbage", "invalid" or "overtaken"; and how often the link was "reopened".
         problem: what is missing, in words; empty while all is well.
         clock: how the autopilot's time becomes host time.
     """

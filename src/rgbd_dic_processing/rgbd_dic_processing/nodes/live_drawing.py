@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
 from rgbd_dic_acquisition.calibration import Camera
 from rgbd_dic_acquisition.errors import CalibrationError, MeasurementError
 from rgbd_dic_acquisition.messages import image_from_message, stamp_to_ns
@@ -28,27 +29,31 @@ from .inputs import STREAM_DEPTH
 from .messages import plane_from_message, reference_from_message
 
 Array = NDArray[np.float64]
+FIELD_TIMEOUT_S = 4.0  # in which a graph that measures is heard
 IMAGE_TIMEOUT_S = 10.0
-REST_TIMEOUT_S = 5.0  # for what belongs to the image; by then everybody has found each other
+REST_TIMEOUT_S = 5.0  # for what belongs to the image, from when it came
 PLANE_NEAR_S = 0.1  # between the image and the plane that sizes are measured on
 
 
 class DrawingFetch:
-    """Listens until an image has come, with its calibration, a plane near it, and the regions carried into it."""
+    """Listens until an image has come, with its calibration, a plane near it, and the regions carried into it.
+
+    The image is asked for once a field has come: only then is it sure that its own will be heard.
+    """
 
     def __init__(self, node: Node, camera: Camera | None):
         self._node, self._camera, self._begun_s = node, camera, time.monotonic()
         self._image: Image | None = None
+        self._image_s: float | None = None  # when it came
         self._reference: Reference | None = None
         self._planes: list[PlaneStamped] = []
         self._views: dict[int, Array] = {}
-        latest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+        self._image_subscription: Subscription | None = None
         self._heard = [
             node.create_subscription(*stream)
             for stream in (
-                (Image, "camera/image_raw", self._take_image, latest),
-                (CameraInfo, "camera/camera_info", self._take_info, latest),
-                (PlaneStamped, "plane", self._planes.append, latest),
+                (CameraInfo, "camera/camera_info", self._take_info, _latest()),
+                (PlaneStamped, "plane", self._planes.append, _latest()),
                 (SubsetField, "subset_field", self._take_field, STREAM_DEPTH),
                 (Reference, "reference", partial(setattr, self, "_reference"), latched_qos()),
             )
@@ -63,15 +68,17 @@ class DrawingFetch:
         Raises:
             RgbdDicError: if no image came in time, or it cannot be drawn on.
         """
-        waited_s = time.monotonic() - self._begun_s
+        now_s = time.monotonic()
+        if self._image_subscription is None and (self._views or now_s - self._begun_s > FIELD_TIMEOUT_S):
+            self._listen_to_images()
         if self._image is None:
-            if waited_s < IMAGE_TIMEOUT_S:
+            if now_s - self._begun_s < FIELD_TIMEOUT_S + IMAGE_TIMEOUT_S:
                 return None
             raise MeasurementError(f"no image came within {IMAGE_TIMEOUT_S:g} s: is the camera running?")
         stamp_ns = stamp_to_ns(self._image.header.stamp)
         plane, view = self._plane(), self._views.get(stamp_ns)
         rest = (plane, view, self._camera, self._reference)
-        if waited_s < REST_TIMEOUT_S and any(part is None for part in rest):
+        if now_s - self._image_s < REST_TIMEOUT_S and any(part is None for part in rest):
             return None
         drawing = Drawing(
             f"live image of {stamp_ns * 1e-9:.3f} s",
@@ -93,8 +100,15 @@ class DrawingFetch:
         for subscription in self._heard:
             self._node.destroy_subscription(subscription)
 
+    def _listen_to_images(self) -> None:
+        self._image_subscription = self._node.create_subscription(
+            Image, "camera/image_raw", self._take_image, _latest()
+        )
+        self._heard.append(self._image_subscription)
+
     def _take_image(self, message: Image) -> None:
-        self._image = self._image or message
+        if self._image is None:
+            self._image, self._image_s = message, time.monotonic()
 
     def _take_field(self, message: SubsetField) -> None:
         self._views[stamp_to_ns(message.header.stamp)] = np.array(message.homography, float).reshape(3, 3)
@@ -113,3 +127,7 @@ class DrawingFetch:
         }
         nearest = min(away, default=PLANE_NEAR_S * 1e9)
         return plane_from_message(away[nearest]).plane if nearest < PLANE_NEAR_S * 1e9 else None
+
+
+def _latest() -> QoSProfile:
+    return QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
