@@ -16,7 +16,7 @@ from .geometry import Plane, pose_from_homography
 from .joining import FrameJoin, JoinedFrame
 from .pairing import FramePair
 from .plane import PlaneEstimate, PlaneMotion
-from .reference_frame import NEEDS_PLANE_OF_FRAME, ReferenceFrame
+from .reference_frame import FINDS_SHAPE, NEEDS_PLANE_OF_FRAME, ReferenceFrame
 from .regions import Regions
 from .sensor_delay import SensorDelay
 from .settings import CompensationSettings
@@ -30,6 +30,9 @@ SOLVERS = {
     "h_2d": h_2d.compensate,
     "pc_3d": pc_3d.compensate,
 }
+
+
+LEAST_SIGMA_PX = 1e-5  # what the DIC's iteration leaves, also where two images are the same
 
 
 class DisplacementMeasurement:
@@ -79,7 +82,7 @@ class DisplacementMeasurement:
         if base is None:
             return invalid(FrameStatus.NOT_COMPENSATED, "its reference is not known here")
         moved_px = self._camera.undistort(frame.field.moved_px)
-        sigma_px = np.maximum(frame.field.sigma_px.astype(float), 1e-9)
+        sigma_px = np.maximum(frame.field.sigma_px.astype(float), LEAST_SIGMA_PX)
         fixed = np.flatnonzero(base.fixed & np.isfinite(moved_px + sigma_px).all(axis=1))
         if len(fixed) < self._settings.min_subsets:
             return invalid(
@@ -105,10 +108,14 @@ class DisplacementMeasurement:
                 reference_plane, plane, pose = carried
             surface = None
             if base.is_shaped:
-                surface = base.surface(reference_plane, frame.field, moved_px, sigma_px, fixed)
+                rigid = self._settings.method not in FINDS_SHAPE
+                if rigid:
+                    base.learn_shape(reference_plane, frame.field, moved_px, sigma_px, fixed)
+                surface = base.surface(reference_plane)
                 reference_plane = surface.plane
-                seed = pose_from_homography(self._camera, base.homography(frame.field), reference_plane)
-                moved_px = moved_px - surface.parallax_px(seed)
+                if rigid:
+                    seed = pose_from_homography(self._camera, base.homography(frame.field), reference_plane)
+                    moved_px = moved_px - surface.parallax_px(seed)
             view = FrameView(
                 self._camera,
                 base.ideal_px,
@@ -121,9 +128,11 @@ class DisplacementMeasurement:
                 base.homography(frame.field),
                 base.panel_geometry(reference_plane),
                 pose,
+                surface,
             )
             compensation = SOLVERS[self._settings.method](view, self._settings)
-            return base.displacement(frame, self._settings.method, view, compensation, reference_plane, surface)
+            view, surface = base.with_shape(view, compensation, frame.field.stamp_ns)
+            return base.displacement(frame, self._settings.method, view, compensation, surface)
         except (RgbdDicError, np.linalg.LinAlgError) as error:
             return invalid(FrameStatus.NOT_COMPENSATED, str(error))
 

@@ -7,7 +7,8 @@ panel is taken for what the ToF sensor's plane says, and its curvature if that i
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from .uncertainty import independent_modes
 Array = NDArray[np.float64]
 
 TOF_ERROR_M = 0.004  # by which the ToF sensor's plane may be wrong at the panel's edges, whatever its noise
+DEFORMS_ALIKE_S = 0.25  # a structure under a load that changes in a second or more
 INDEPENDENT = 10  # parts of the region that a misfit counts for: what deforms, deforms together
 
 
@@ -38,6 +40,21 @@ class Surface:
     inverse_depth: Array
     covariance: Array
 
+    @classmethod
+    def flat(cls, camera: Camera, reference_px: Array, plane: Plane) -> Surface:
+        """A plane; `terms` are (N, 3) and `inverse_depth` is (3,)."""
+        rays = camera.rays(reference_px)
+        return cls(camera, rays, rays, plane.inverse_depth, plane.inverse_depth_covariance())
+
+    def part(self, chosen: NDArray[np.intp]) -> Surface:
+        """As some of the subsets see it."""
+        return replace(self, rays=self.rays[chosen], terms=self.terms[chosen])
+
+    def changed(self, by: Array, covariance: Array | None = None) -> Surface:
+        """With `inverse_depth` changed, and another covariance if one is given."""
+        covariance = self.covariance if covariance is None else covariance
+        return replace(self, inverse_depth=self.inverse_depth + by, covariance=covariance)
+
     @property
     def plane(self) -> Plane:
         """That is nearest to it over the whole panel."""
@@ -46,6 +63,10 @@ class Surface:
     def points(self) -> Array:
         """(N, 3) of the subsets [m]."""
         return self.rays / (self.terms @ self.inverse_depth)[:, None]
+
+    def steps(self) -> Array:
+        """(6, N, 3), by how much the points move with `inverse_depth` [m^2]."""
+        return -self.points() * (self.terms / (self.terms @ self.inverse_depth)[:, None]).T[:, :, None]
 
     def parallax_px(self, pose: Pose) -> Array:
         """(N, 2), by how much the subsets are seen elsewhere than if they lay on the plane [px]."""
@@ -83,9 +104,21 @@ class Surface:
         `inverse_depth`."""
         R, t = pose
         turned = self.points() @ R.T
-        steps = -turned * self.terms.T[:, :, None] / (self.terms @ self.inverse_depth)[:, None]
         focal = np.array([self.camera.fx, self.camera.fy])
-        return pose_jacobian(focal, turned, turned + t), pixel_jacobian(focal, steps, turned + t)
+        return pose_jacobian(focal, turned, turned + t), pixel_jacobian(focal, self.steps() @ R.T, turned + t)
+
+
+@dataclass(frozen=True)
+class ShapeEvidence:
+    """What one view tells of the shape beside motion and deformation.
+
+    surface: as it is known with this view. information, weighed: (6, 6), and its product with the view's own
+    `inverse_depth` (6,).
+    """
+
+    surface: Surface
+    information: Array
+    weighed: Array
 
 
 class SurfaceEstimate:
@@ -102,6 +135,7 @@ class SurfaceEstimate:
         self._terms = np.column_stack([self._rays, _curved(self._rays, known)])
         self._bow_m = bow_m
         self._information, self._weighed = np.zeros((6, 6)), np.zeros(6)
+        self._latest_ns: int | None = None
 
     def surface(self, tof: Plane, bow: Curvature | None) -> Surface:
         """As it is known now, with the plane that the ToF sensor saw, and the curvature about it if that counts."""
@@ -161,8 +195,19 @@ class SurfaceEstimate:
         onto_pose = np.linalg.solve((by_pose * weights) @ by_pose.T, (by_pose * weights) @ by_shape.T)
         rest = by_shape - onto_pose.T @ by_pose
         information = (rest * weights) @ rest.T
+        self._add(information, information @ now.inverse_depth + (rest * weights) @ residual)
+
+    def learn_beside_deformation(self, told: ShapeEvidence, stamp_ns: int) -> None:
+        """Take in a view of a region that deforms. What deforms, deforms alike in views that are near in time, so only
+        as much of them counts as there are times DEFORMS_ALIKE_S."""
+        passed_s = math.inf if self._latest_ns is None else abs(stamp_ns - self._latest_ns) * 1e-9
+        self._latest_ns = stamp_ns
+        share = min(1.0, passed_s / DEFORMS_ALIKE_S)
+        self._add(share * told.information, share * told.weighed)
+
+    def _add(self, information: Array, weighed: Array) -> None:
         self._information += information
-        self._weighed += information @ now.inverse_depth + (rest * weights) @ residual
+        self._weighed += weighed
 
 
 def _curved(rays: Array, known: NDArray[np.bool_]) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +31,8 @@ from .subset_field import Reference, SubsetField
 from .uncertainty import linear_modes, overlap_correlation, quadratic_terms
 
 Array = NDArray[np.float64]
-SHAPED = {"images": ("h_pose",), "images_and_tof": ("h_pose", "h_joint")}  # methods that are told the panel's shape
+SHAPED = ("h_pose", "h_joint")  # methods that are told the panel's shape
+FINDS_SHAPE = ("h_joint",)  # those of them that estimate it along with the motion
 SHAPING = 800  # subsets that the panel's shape is estimated from: they overlap, and more tell hardly more
 NEEDS_PLANE_OF_FRAME = ("h_3d", "pc_3d")  # as in the thesis: from the ToF frames of the two images alone
 
@@ -56,7 +58,7 @@ class ReferenceFrame:
         self._carried = CarriedPlanes(settings.plane_window_s)
         self._motion, self._delay = PanelMotion(), DelayEstimate()
         self._accuracy: float | None = None  # of the sensor, relative to the distance
-        shaped = bool(settings.bow_m) and settings.method in SHAPED[settings.bow_from]
+        shaped = bool(settings.bow_m) and settings.method in SHAPED
         self.is_shaped, self._tof_tells_bow = shaped, shaped and settings.bow_from == "images_and_tof"
         self._surface = SurfaceEstimate(camera, self.ideal_px, settings.bow_m, settings.robust_sigmas)
 
@@ -152,23 +154,38 @@ class ReferenceFrame:
             )
         return self._planes.first
 
-    def surface(
+    def surface(self, plane: Plane) -> Surface:
+        """The panel's shape as it is known now: from the ToF sensor's plane, from the parallax of the fixed region,
+        and, by `bow_from`, from the curvature that the sensor saw."""
+        return self._surface.surface(plane, self._planes.curvature)
+
+    def learn_shape(
         self, plane: Plane, field: SubsetField, moved_px: Array, sigma_px: Array, fixed: NDArray[np.intp]
-    ) -> Surface:
-        """The panel's shape as it is known with this view (N, 2): from the ToF sensor's plane, from the parallax of the
-        fixed region, and, by `bow_from`, from the curvature that the sensor saw. h_joint has no use for parallax: its
-        region deforms, and the two are badly told apart.
+    ) -> None:
+        """Take in the parallax of a rigid fixed region (N, 2).
 
         Raises:
             MeasurementError: if the motion of the fixed region cannot be estimated.
         """
-        bow = self._planes.curvature
-        if self.settings.method == "h_joint":
-            return self._surface.surface(plane, bow)
         some = fixed[:: math.ceil(len(fixed) / SHAPING)]
         shared = self.correlation(field)[some][:, some].sum() / len(some)
-        self._surface.learn(plane, bow, moved_px, sigma_px, some, shared, self.homography(field))
-        return self._surface.surface(plane, bow)
+        seed = self.homography(field)
+        self._surface.learn(plane, self._planes.curvature, moved_px, sigma_px, some, shared, seed)
+
+    def with_shape(
+        self, view: FrameView, compensation: Compensation, stamp_ns: int
+    ) -> tuple[FrameView, Surface | None]:
+        """A view on the surface that its solver found, which is taken in, and this; None if the panel is taken for
+        flat. The view of a solver that does not look for the shape stays as it is."""
+        told = compensation.shape
+        if told is None:
+            return view, view.surface
+        moved_px = view.moved_px - told.surface.parallax_px(compensation.pose)
+        view = replace(view, reference_plane=told.surface.plane, moved_px=moved_px)
+        if not self.is_shaped:
+            return view, None
+        self._surface.learn_beside_deformation(told, stamp_ns)
+        return view, told.surface
 
     def displacement(
         self,
@@ -176,11 +193,11 @@ class ReferenceFrame:
         method: str,
         view: FrameView,
         compensation: Compensation,
-        plane: Plane,
         surface: Surface | None = None,
     ) -> DisplacementField:
-        """The displacement of all found subsets of a frame whose motion was compensated with this reference plane, and
-        whose pixels were freed of what the panel stands out of it, if its surface is given."""
+        """The displacement of all found subsets of a frame whose motion was compensated, and whose pixels were freed of
+        what the panel stands out of the view's reference plane, if its surface is given."""
+        plane = view.reference_plane
         realignment = self._realignment(plane)
         motion = compensation.motion
         start = motion.reference_points(self.ideal_px, realignment)

@@ -149,14 +149,13 @@ class CompensationSettings(Settings):
         unit="m",
         low=0.0,
         high=0.1,
-        doc="h_pose, and h_joint with images_and_tof: how far the panel may stand out of its plane (standard "
-        "deviation); 0: it is flat.",
+        doc="h_pose, h_joint: how far the panel may stand out of its plane (standard deviation); 0: it is flat.",
     )
     bow_from: str = setting(
         "images",
         choices=("images", "images_and_tof"),
-        doc="Who tells how the panel is curved: for h_pose the parallax in the images, for h_joint nobody; or for both "
-        "the averaged ToF frames as well.",
+        doc="h_pose, h_joint: who tells how the panel is curved, the parallax in the images alone, or the averaged ToF "
+        "frames as well.",
     )
     carry_offset_s: float = setting(
         0.01,

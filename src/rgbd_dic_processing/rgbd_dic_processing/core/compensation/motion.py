@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,9 @@ from scipy.sparse import csr_matrix
 
 from ..geometry import Plane, apply_homography
 from ..realignment import Realignment
+
+if TYPE_CHECKING:
+    from ..panel_surface import ShapeEvidence, Surface
 
 Array = NDArray[np.float64]
 MEDIAN_LENGTH = 1.1774  # of a normal residual in two dimensions, in standard deviations
@@ -41,6 +45,7 @@ class FrameView:
     seed: homography (3, 3) reference -> image that the DIC started from.
     panel: where the subsets are on the panel.
     carried: the pose (R, t) along which `plane` was carried from planes of the reference; None if it was not.
+    surface: the panel's shape, for a solver that refines it; None where it is flat, or is taken off moved_px already.
     """
 
     camera: Camera
@@ -54,6 +59,7 @@ class FrameView:
     seed: Array
     panel: PanelGeometry
     carried: tuple[Array, Array] | None = None
+    surface: Surface | None = None
 
     def with_reference_plane(self, reference_plane: Plane) -> FrameView:
         """The frame as it would be with another reference plane: a plane that was carried to it moves along."""
@@ -125,6 +131,8 @@ class Compensation:
     residual_px: RMS of the reprojection error of the fixed region's subsets that agree with the motion.
     misfit_px: standard deviation of what the subsets move beside the motion and the DIC's noise, on each axis; it adds
         in quadrature to the uncertainty of every subset.
+    shape: the panel's shape if the solver refined it, and what the frame told of it; `motion` and `modes` are of its
+        plane. pose: (R, t) that goes with it.
     """
 
     motion: Motion
@@ -132,6 +140,8 @@ class Compensation:
     coupling: Array
     residual_px: float
     misfit_px: float = 0.0
+    shape: ShapeEvidence | None = None
+    pose: tuple[Array, Array] | None = None
 
 
 def reprojection_rms(motion: Motion, view: FrameView, used: NDArray[np.intp]) -> float:
