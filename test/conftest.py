@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from rgbd_dic_acquisition.bag import BagReader, BagWriter
 from rgbd_dic_acquisition.simulator.flight import FlightSettings
 from rgbd_dic_acquisition.simulator.flight_bag import simulate_flight
+
+if TYPE_CHECKING:
+    from fake_blaze import FakeBlaze
+    from shown_crack import ShownCrack
 
 Edit = Callable[[str, int, Any], Any]
 
@@ -46,3 +50,28 @@ def edited(flight: Path, tmp_path: Path) -> Callable[[Edit], Path]:
         return path
 
     return make
+
+
+@pytest.fixture
+def shown(tmp_path: Path) -> ShownCrack:
+    """What the fake sensors of a payload see."""
+    from shown_crack import ShownCrack  # needs Aravis where it is there
+
+    return ShownCrack(tmp_path)
+
+
+@pytest.fixture
+def blaze(tmp_path: Path, shown: ShownCrack, monkeypatch: pytest.MonkeyPatch) -> FakeBlaze:
+    """The fake ToF camera, which sees the same; found by the environment."""
+    from fake_blaze import FakeBlaze, compiler
+    from shown_crack import SHOWN_HZ
+
+    if compiler() is None:
+        pytest.skip("no C++ compiler: apt-get install g++")
+    pytest.importorskip("harvesters", reason="harvesters is missing: make setup-tof")
+    (tmp_path / "tof").mkdir()
+    made = FakeBlaze(tmp_path / "tof")
+    made.show(shown.depth_frames(), SHOWN_HZ, shown.flight.calibration.tof)
+    for name, value in made.environment.items():
+        monkeypatch.setenv(name, value)
+    return made

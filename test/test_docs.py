@@ -110,7 +110,7 @@ def test_make_targets(page: Path) -> None:
     assert named <= known
 
 
-@pytest.mark.parametrize("launch_file", ["processing", "replay", "acquisition"])
+@pytest.mark.parametrize("launch_file", ["processing", "replay", "live", "acquisition"])
 def test_launch_arguments(launch_file: str) -> None:
     """Every argument that a page gives to a launch file exists."""
     (path,) = ROOT.glob(f"src/*/launch/{launch_file}.launch.py")

@@ -1,13 +1,15 @@
 // A GenTL producer (GenICam GenTL 1.6) with one ToF camera that has the features of a Blaze and obeys the test.
 //
 // FAKE_BLAZE names a folder: device.xml (its features, see fake_blaze.py), memory.bin (its registers, and the faults that it is to have,
-// both mapped and shared with the test) and frame.bin (range, intensity and confidence, uint16 each).
+// both mapped and shared with the test) and frame.bin (range, intensity and confidence, uint16 each; several such frames
+// are shown there and back by the host's clock).
 #include <fcntl.h>
 #include <sys/mman.h>
 #include <unistd.h>
 
 #include <algorithm>
 #include <chrono>
+#include <cmath>
 #include <condition_variable>
 #include <cstdint>
 #include <cstdlib>
@@ -41,7 +43,7 @@ enum : size_t {
   kCentreU = 0x0B8, kCentreV = 0x0C0, kWidth = 0x0C8, kHeight = 0x0CC, kStart = 0x0D0, kStop = 0x0D4,
   kLatch = 0x0E0, kLatched = 0x0E8,
   kPresent = 0x800, kFrozen = 0x804, kFail = 0x808, kSkip = 0x80C, kMade = 0x810, kSkew = 0x818, kOffset = 0x820,
-  kJitter = 0x828, kTick = 0x830, kTicksOnly = 0x834
+  kJitter = 0x828, kTick = 0x830, kTicksOnly = 0x834, kShown = 0x838
 };
 
 struct Part {
@@ -90,9 +92,19 @@ struct Camera {
     return uint64_t(ns * (1 + 1e-6 * get<double>(kSkew))) + uint64_t(get<int64_t>(kOffset));
   }
 
-  void fill(Buffer& buffer) {
+  // Which of the frames in frame.bin is seen now.
+  size_t shown() const {
+    const size_t frames = frame.size() / (6 * pixels());
+    if (frames < 2) return 0;
+    const auto host = std::chrono::system_clock::now().time_since_epoch();
+    const auto number = std::llround(std::chrono::duration<double>(host).count() * get<double>(kShown));
+    const size_t last = frames - 1, step = size_t(number) % (2 * last);
+    return std::min(step, 2 * last - step);
+  }
+
+  void fill(Buffer& buffer, size_t seen) {
     const size_t count = pixels(), width = get<uint32_t>(kWidth);
-    const auto* source = reinterpret_cast<const uint16_t*>(frame.data());
+    const auto* source = reinterpret_cast<const uint16_t*>(frame.data()) + 3 * count * seen;
     buffer.parts.clear();
     uint64_t offset = 0;
     for (size_t component = 0; component < 3; ++component) {
@@ -130,6 +142,7 @@ struct Camera {
       changed.wait_until(lock, due, [this] { return ending; });
       if (ending || !streaming || !present() || get<uint32_t>(kFrozen)) continue;
       const uint64_t taken_ns = now_ns();
+      const size_t seen = shown();
       ++frame_id;
       if (const uint32_t skip = get<uint32_t>(kSkip)) {
         set(kSkip, skip - 1);
@@ -148,7 +161,7 @@ struct Camera {
       buffer->queued = false;
       buffer->timestamp_ns = taken_ns;
       buffer->frame_id = frame_id;
-      fill(*buffer);
+      fill(*buffer, seen);
       const uint32_t fail = get<uint32_t>(kFail);
       buffer->incomplete = fail > 0;
       if (fail > 0) set(kFail, fail - 1);

@@ -11,11 +11,12 @@ import functools
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rgbd_dic_acquisition.calibration import Camera
 
 SOURCE = Path(__file__).with_name("fake_blaze.cpp")
 SERIAL = "24000101"
@@ -66,6 +67,7 @@ FAULTS: dict[str, tuple[int, str, Any]] = {
     "jitter_s": (0x828, "f8", 0.0),
     "tick_ns": (0x830, "u4", 1),  # what its time stamps count ...
     "ticks_only": (0x834, "u4", 0),  # ... 0: and call nanoseconds all the same
+    "shown_hz": (0x838, "f8", 0.0),  # new scenes a second, there and back by the host's clock, if there are several
 }
 
 
@@ -103,6 +105,18 @@ class FakeBlaze:
         for name, (_, _, value) in {**REGISTERS, **FAULTS}.items():
             self[name] = value
         self["Width"], self["Height"] = size
+        self._folder = folder
+
+    def show(self, frames: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], rate_hz: float, camera: Camera) -> None:
+        """From when it is opened next: depth [m] (NaN where there is none), intensity and confidence of several scenes,
+        (rows, cols) each, there and back by the host's clock, seen by this camera."""
+        scale_m = self["Scan3dCoordinateScale"][2] * 1e-3
+        stored = [(np.nan_to_num(np.rint(depth_m / scale_m)), *others) for depth_m, *others in frames]
+        data = b"".join(each.astype("<u2").tobytes() for frame in stored for each in frame)
+        (self._folder / "frame.bin").write_bytes(data)
+        self["Width"], self["Height"], self["shown_hz"] = camera.width, camera.height, rate_hz
+        self["Scan3dFocalLength"] = camera.fx
+        self["Scan3dPrincipalPointU"], self["Scan3dPrincipalPointV"] = camera.cx, camera.cy
 
     def __getitem__(self, name: str) -> Any:
         values = self._view(name)

@@ -9,7 +9,20 @@ from collections.abc import Sequence
 
 from rgbd_dic_acquisition.errors import RgbdDicError
 
-from .commands import calibrate, find_panel, import_, info, plane, process, regions, report, simulate, up, validate
+from .commands import (
+    calibrate,
+    check,
+    find_panel,
+    import_,
+    info,
+    plane,
+    process,
+    regions,
+    report,
+    simulate,
+    up,
+    validate,
+)
 
 EXIT_CODES = (
     "exit codes: 0 done; 1 it failed, the message says why and what to do; 2 the command line is wrong; "
@@ -25,7 +38,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
         epilog=EXIT_CODES,
     )
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for module in (up, process, regions, simulate, import_, calibrate, find_panel, plane, report, info, validate):
+    for module in (
+        up,
+        check,
+        process,
+        regions,
+        simulate,
+        import_,
+        calibrate,
+        find_panel,
+        plane,
+        report,
+        info,
+        validate,
+    ):
         module.add_parser(commands)
     options = parser.parse_args(arguments)
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ended like Ctrl-C: nodes are stopped, results kept

@@ -23,6 +23,9 @@ TYPES = {
     "tof/confidence/image_raw": "sensor_msgs/msg/Image",
     "tof/points": "sensor_msgs/msg/PointCloud2",
     "imu/data": "sensor_msgs/msg/Imu",
+    "camera/time_reference": "sensor_msgs/msg/TimeReference",
+    "tof/time_reference": "sensor_msgs/msg/TimeReference",
+    "autopilot/time_reference": "sensor_msgs/msg/TimeReference",
     "frame_pair": "rgbd_dic_msgs/msg/FramePair",
     "plane": "rgbd_dic_msgs/msg/PlaneStamped",
     "reference": "rgbd_dic_msgs/msg/Reference",
@@ -100,7 +103,7 @@ def processing_nodes(
         NodeSpec(
             PROCESSING,
             "pairing_node",
-            ("camera/camera_info", "tof/points" if use_points else "tof/depth/camera_info"),
+            ("camera/camera_info", "tof/points" if use_points else "tof/depth/camera_info", "imu/data"),
             ("frame_pair",),
             parameters={"use_points": use_points, **stage("pairing")},
         ),

@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import time
+from collections.abc import Iterable
 from pathlib import Path
 
 import yaml
@@ -31,6 +32,7 @@ class GraphProcesses:
     def __init__(self, folder: Path, use_sim_time: bool, namespace: str = ""):
         self._folder, self._use_sim_time, self._namespace = folder, use_sim_time, namespace
         self._running: dict[str, subprocess.Popen] = {}
+        self._specs: dict[str, NodeSpec] = {}
         folder.mkdir(parents=True, exist_ok=True)
 
     def start(self, spec: NodeSpec) -> subprocess.Popen:
@@ -45,7 +47,7 @@ class GraphProcesses:
         for before, after in spec.remappings.items():
             command += ["-r", f"{before}:={after}"]
         command += ["--params-file", str(parameters)]
-        with self.log_of(spec.node_name).open("wb") as log:
+        with self.log_of(spec.node_name).open("ab" if spec.node_name in self._running else "wb") as log:
             process = subprocess.Popen(
                 command,
                 stdout=log,
@@ -55,8 +57,15 @@ class GraphProcesses:
                 start_new_session=True,
                 preexec_fn=_end_with_parent,
             )
-        self._running[spec.node_name] = process
+        self._running[spec.node_name], self._specs[spec.node_name] = process, spec
         return process
+
+    def revive(self, names: Iterable[str]) -> list[str]:
+        """Start again those of these nodes that a signal ended, such as a crash of their driver; returns which."""
+        ended = [name for name in names if (self._running[name].poll() or 0) < 0]
+        for name in ended:
+            self.start(self._specs[name])
+        return ended
 
     def log_of(self, node_name: str) -> Path:
         return self._folder / f"{node_name}.log"

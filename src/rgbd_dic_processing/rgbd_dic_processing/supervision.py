@@ -40,6 +40,7 @@ def supervise(
     playing: subprocess.Popen | None = None,
     images: int | None = None,
     duration_s: float | None = None,
+    sensors: tuple[str, ...] = (),
 ) -> Outcome:
     """Follow a connected graph until its player has ended and all is answered, the time is over, or Ctrl-C.
 
@@ -47,10 +48,13 @@ def supervise(
         answers: method -> topic of its openings.
         playing: the player; None for live sensors.
         images: how many it will play.
+        sensors: names of nodes that are started again if they are killed.
     """
     failure, end = None, time.monotonic() + duration_s if duration_s is not None else float("inf")
     try:
         while (playing is None or playing.poll() is None) and time.monotonic() < end:
+            for name in processes.revive(sensors):
+                print(f"{name} was killed, and is started again", file=sys.stderr, flush=True)
             processes.check()
             watch.spin(0.1)
         wanted = images * len(answers) if images is not None else 0

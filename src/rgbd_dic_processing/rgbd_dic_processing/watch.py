@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
@@ -34,13 +34,23 @@ class GraphWatch:
         first_heard, last_heard: steady time of the first and the last of them [s].
     """
 
-    def __init__(self, topics: dict[str, str], namespace: str, on_opening: Callable[[CrackOpening], None]):
-        """topics: method -> topic of its openings."""
+    def __init__(
+        self,
+        topics: dict[str, str],
+        namespace: str,
+        on_opening: Callable[[CrackOpening], None],
+        on_state: Callable[[str, str], None] = lambda node, warning: None,
+    ):
+        """
+        Args:
+            topics: method -> topic of its openings.
+            on_state: told a node's name and its warning, empty if all is well, each time that one says how it is.
+        """
         prepare_process()
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         self.openings: list[CrackOpening] = []
         self.first_heard = self.last_heard = time.monotonic()
-        self._topics, self._on_opening = topics, on_opening
+        self._topics, self._on_opening, self._on_state = topics, on_opening, on_state
         self._node = Node("rgbd_dic_up", namespace=namespace or None)
         self._executor = EventsExecutor()
         self._executor.add_node(self._node)
@@ -106,6 +116,10 @@ class GraphWatch:
 
     def _diagnostics(self, message: DiagnosticArray) -> None:
         self._matched.update(matched_subscriptions(message))
+        for status in message.status:
+            if ": " not in status.name:
+                well = status.level == DiagnosticStatus.OK
+                self._on_state(status.name.rsplit("/", 1)[-1], "" if well else status.message)
 
     def _absolute(self, name: str) -> str:
         return f"{self._node.get_namespace().rstrip('/')}/{name}"

@@ -26,6 +26,7 @@ class AravisCamera:
             never came, by the camera's own count).
         told: what is known of the camera, in words: model, serial number, temperature, clock.
         period_s: time between images; infinite with a trigger.
+        uncertainty_ns: standard uncertainty of the latest stamp [ns]; infinite until known.
     """
 
     def __init__(self, settings: AravisSettings, camera: Camera, frame_id: str) -> None:
@@ -34,6 +35,7 @@ class AravisCamera:
         self.counts: Counter[str] = Counter({"received": 0, "incomplete": 0, "lost": 0})
         self.told: dict[str, str] = {}
         self.period_s = math.inf if settings.trigger_source else 1 / settings.frame_rate_hz
+        self.uncertainty_ns = math.inf
         self._settings = settings
         self._connection: Connection | None = None
 
@@ -92,6 +94,7 @@ class AravisCamera:
         half_ns = connection.exposure_ns // 2
         device_ns = buffer.get_timestamp() + (half_ns if self._settings.stamps == "start" else -half_ns)
         host = self._clock.stamp(device_ns, buffer.get_system_timestamp())
+        self.uncertainty_ns = host.uncertainty_ns
         source = "latches" if self._clock.latched else "arrivals"
         self.told["clock"] = f"by {source}, to {host.uncertainty_ns * 1e-6:.3f} ms"
         self.told.update(connection.readings)

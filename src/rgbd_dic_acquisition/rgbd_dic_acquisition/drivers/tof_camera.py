@@ -37,6 +37,7 @@ class TofCamera:
         failure: what was wrong with the last that failed.
         told: the device, where its stamps come from, and what it does not do of what was asked.
         period_s: time between frames.
+        uncertainty_ns: standard uncertainty of the latest stamp [ns]; infinite until known, or without a clock.
     """
 
     frame_id = "tof_optical_frame"
@@ -52,7 +53,7 @@ class TofCamera:
         self.counts: Counter[str] = Counter(frames=0, failed=0, lost=0)
         self.failure = ""
         self.told: dict[str, str] = {}
-        self.period_s = math.inf
+        self.period_s = self.uncertainty_ns = math.inf
         self._settings = settings
         self._connect = connect or device_class(library)
         self._device: TofDevice | None = None
@@ -165,8 +166,10 @@ class TofCamera:
         """Host time of the frame."""
         if grab.device_ns is None or not self._counts_nanoseconds(grab.device_ns, arrival_ns):
             self.told["clock"] = f"none{'' if grab.device_ns is None else ' in nanoseconds'}: stamps are the arrival"
+            self.uncertainty_ns = math.inf
             return arrival_ns
         host = self._clock.stamp(grab.device_ns, arrival_ns)
+        self.uncertainty_ns = host.uncertainty_ns
         source = "latches" if self._clock.latched else "arrivals"
         self.told["clock"] = f"by {source}, to {host.uncertainty_ns * 1e-6:.3f} ms"
         return host.stamp_ns

@@ -88,6 +88,9 @@ class PairingSettings(Settings):
         high=1.0,
         doc="How much too late the stamps of the ToF frames are known to be; it is subtracted from them.",
     )
+    max_attitude_offset_s: float = setting(
+        0.1, unit="s", low=0.0, high=1.0, doc="Largest time between an image and the attitude that goes along with it."
+    )
 
     @property
     def tof_delay_ns(self) -> int:

@@ -23,6 +23,7 @@ from ..core.crack import CrackOpening
 from ..core.curvature import Curvature
 from ..core.displacement_field import DisplacementField
 from ..core.geometry import Plane
+from ..core.nearest_attitude import Attitude
 from ..core.pairing import FramePair
 from ..core.plane import PlaneEstimate
 from ..core.regions_file import entries_of_text, regions_of, text_of
@@ -35,7 +36,10 @@ METHOD_CODES = {"h_3d": 0, "h_2d": 1, "pc_3d": 2, "h_pose": 3, "h_joint": 4}  # 
 METHOD_NAMES = {code: name for name, code in METHOD_CODES.items()}
 
 
-def frame_pair_message(make: MessageFactory, pair: FramePair, frame_id: str) -> Any:
+def frame_pair_message(make: MessageFactory, pair: FramePair, frame_id: str, attitude: Attitude | None = None) -> Any:
+    """attitude: of the vehicle, nearest in time to the image; None if there is none."""
+    stamp_ns = attitude.stamp_ns if attitude else 0
+    turn = attitude.orientation_xyzw if attitude else (np.nan,) * 4
     return make(
         "rgbd_dic_msgs/msg/FramePair",
         header=header_message(make, pair.stamp_ns, frame_id),
@@ -43,6 +47,9 @@ def frame_pair_message(make: MessageFactory, pair: FramePair, frame_id: str) -> 
         depth_stamp=stamp_message(make, pair.depth_stamp_ns or 0),
         depth_offset=float(pair.depth_offset_s),
         reason=pair.reason,
+        attitude_stamp=stamp_message(make, stamp_ns),
+        attitude_offset=(pair.stamp_ns - stamp_ns) * 1e-9 if attitude else np.nan,
+        attitude=make("geometry_msgs/msg/Quaternion", **dict(zip("xyzw", turn, strict=True))),
     )
 
 

@@ -1,4 +1,4 @@
-"""pairing_node: tells which ToF frame belongs to each image."""
+"""pairing_node: tells which ToF frame belongs to each image, and which attitude."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ from rgbd_dic_acquisition.nodes.diagnostics import Diagnostics
 from rgbd_dic_acquisition.nodes.parameters import declare
 from rgbd_dic_acquisition.nodes.ros_messages import make
 from rgbd_dic_acquisition.nodes.spinning import run
-from sensor_msgs.msg import CameraInfo, PointCloud2
+from sensor_msgs.msg import CameraInfo, Imu, PointCloud2
 
 from rgbd_dic_msgs.msg import FramePair as FramePairMessage
 
+from ..core.nearest_attitude import Attitude, NearestAttitude
 from ..core.pairing import FramePair, FramePairing
 from ..core.settings import PairingSettings
 from .inputs import STREAM_DEPTH, IdleFlush, sensor_qos
@@ -22,13 +23,15 @@ from .messages import frame_pair_message
 class PairingNode(Node):
     def __init__(self) -> None:
         super().__init__("pairing_node")
-        self._pairing = FramePairing(declare(self, PairingSettings, "pairing"))
+        settings = declare(self, PairingSettings, "pairing")
+        self._pairing, self._attitudes = FramePairing(settings), NearestAttitude(settings.max_attitude_offset_s)
         self._frame_id = ""
         self._diagnostics = Diagnostics(self)
         self._output = self._diagnostics.watch(self.create_publisher(FramePairMessage, "frame_pair", STREAM_DEPTH))
         self._idle = IdleFlush(self, lambda: self._publish(self._pairing.flush()))
         qos = sensor_qos(self)
         self.create_subscription(CameraInfo, "camera/camera_info", self._image, qos)
+        self.create_subscription(Imu, "imu/data", self._attitude, qos)
         if self.declare_parameter("use_points", False).value:
             self.create_subscription(PointCloud2, "tof/points", self._points, qos, raw=True)
         else:
@@ -47,6 +50,11 @@ class PairingNode(Node):
         self._idle.touch()
         self._publish(self._pairing.add_depth(header_stamp_ns(serialised)))
 
+    def _attitude(self, imu: Imu) -> None:
+        turn = imu.orientation
+        if imu.orientation_covariance[0] >= 0:  # -1: the Imu tells no orientation
+            self._attitudes.add(Attitude(stamp_to_ns(imu.header.stamp), (turn.x, turn.y, turn.z, turn.w)))
+
     def _publish(self, pairs: list[FramePair]) -> None:
         for pair in pairs:
             if pair.depth_stamp_ns is not None:
@@ -55,7 +63,8 @@ class PairingNode(Node):
             else:
                 self._diagnostics.count("without ToF frame")
                 self._diagnostics.warn(pair.reason)
-            self._output.publish(frame_pair_message(make, pair, self._frame_id))
+            attitude = self._attitudes.at(pair.stamp_ns)
+            self._output.publish(frame_pair_message(make, pair, self._frame_id, attitude))
 
 
 def main() -> int:
