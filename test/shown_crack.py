@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,24 @@ from rgbd_dic_processing.graph import GraphFiles
 
 SHOWN_HZ = 20.0  # how often there is a new image
 SETTINGS = {"seed": 3, "duration_s": 1.0, "timing": {"camera_rate_hz": SHOWN_HZ}}
+COUNT = 21
 EXPOSURE_NS = 100_000
+
+
+@cache
+def _flight() -> Flight:
+    return Flight(FlightSettings.from_mapping(SETTINGS))
+
+
+@cache
+def _images() -> np.ndarray:
+    return np.stack([_flight().image(index / SHOWN_HZ, index) for index in range(COUNT)])
+
+
+@cache
+def _depth_frames() -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    frames = [_flight().depth(index / SHOWN_HZ, index) for index in range(COUNT)]
+    return [(frame.depth_m, frame.intensity, frame.confidence) for frame in frames]
 
 
 class ShownCrack:
@@ -27,8 +45,7 @@ class ShownCrack:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self.flight = Flight(FlightSettings.from_mapping(SETTINGS))
-        self.images = np.stack([self.flight.image(index / SHOWN_HZ, index) for index in range(21)])
+        self.flight, self.images = _flight(), _images()
         self.files = GraphFiles(folder / "calibration.yaml", folder / "regions.yaml")
         save_calibration(self.flight.calibration, self.files.calibration)
         save_regions(self.flight, 0.0, self.files.regions)
@@ -36,8 +53,7 @@ class ShownCrack:
 
     def depth_frames(self) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """Depth [m], intensity and confidence at the moments of the images."""
-        frames = [self.flight.depth(index / SHOWN_HZ, index) for index in range(21)]
-        return [(frame.depth_m, frame.intensity, frame.confidence) for frame in frames]
+        return _depth_frames()
 
     def errors_m(self, openings: list[CrackOpening]) -> np.ndarray:
         """Of openings through a camera of `gige_peers`, which logged what it sent into the folder."""

@@ -13,8 +13,19 @@ from typing import Any
 
 import pytest
 from rgbd_dic_acquisition.errors import RgbdDicError
+from rgbd_dic_acquisition.payload import load_payload
 from rgbd_dic_processing.core.settings import ProcessingSettings
-from rgbd_dic_processing.graph import SENSOR_TOPICS, GraphFiles, NodeSpec, player, processing_nodes
+from rgbd_dic_processing.graph import (
+    SENSOR_TOPICS,
+    GraphFiles,
+    NodeSpec,
+    all_topics,
+    operator_page,
+    player,
+    processing_nodes,
+    recorder,
+)
+from rgbd_dic_processing.live_sensors import live_sensors
 from system import ROOT, SAMPLE
 
 PROCESSING, ACQUISITION = (ROOT / f"src/rgbd_dic_{name}/launch" for name in ("processing", "acquisition"))
@@ -159,6 +170,60 @@ def test_replay_recorded(describe, tmp_path: Path) -> None:
     assert recording.parameters["output"] == str(tmp_path / "bag")
     recorded = {entry.split()[0] for entry in recording.parameters["topics"]}
     assert {*PLAYED, "reference", "subset_field", "displacement_field", "crack_opening"} <= recorded
+
+
+PAYLOAD = """
+/**:
+  camera_node:
+    ros__parameters: {source: aravis, calibration: elsewhere.yaml, aravis: {transport: gige, address: 10.0.0.2}}
+  tof_node:
+    ros__parameters: {source: pylon, publish_points: true, tof: {depth_min_m: 1.0}}
+"""
+
+
+@pytest.fixture
+def payload(tmp_path: Path) -> Path:
+    path = tmp_path / "payload.yaml"
+    path.write_text(PAYLOAD)
+    return path
+
+
+def test_live(describe, payload: Path, tmp_path: Path) -> None:
+    """Sensors by the payload's parameters and one calibration, the rest as ever; recorder and page if asked for."""
+    graph = [
+        *processing_nodes(SAMPLE_FILES, ProcessingSettings(), ("h_pose",)),
+        *live_sensors(load_payload(payload), SAMPLE_FILES.calibration),
+    ]
+    started = nodes(describe(PROCESSING / "live.launch.py"), payload=str(payload), **NAMED)
+    assert started == expected(graph, use_sim_time=False)
+    camera, tof = (spec.parameters for spec in started[-2:])
+    assert camera["aravis.address"] == "10.0.0.2" and camera["calibration"] == str(SAMPLE_FILES.calibration)
+    assert tof["tof.depth_min_m"] == 1.0 and tof["calibration"] == str(SAMPLE_FILES.calibration)
+    page = operator_page("127.0.0.1", 8420, SAMPLE_FILES, ProcessingSettings(), Path("regions_drawn.yaml"))
+    graph += [page, recorder(tmp_path / "bag", all_topics([*graph, page]))]
+    named = {"payload": str(payload), "output": str(tmp_path / "bag"), "page": "8420", **NAMED}
+    assert nodes(describe(PROCESSING / "live.launch.py"), **named) == expected(graph, use_sim_time=False)
+    assert {"tof/points", "camera/time_reference"} <= set(graph[-1].takes)
+
+
+def test_live_with_an_autopilot(describe, payload: Path) -> None:
+    payload.write_text(f"{PAYLOAD}  mavlink_node: {{ros__parameters: {{link: {{attitude_rate_hz: 50.0}}}}}}\n")
+    started = nodes(describe(PROCESSING / "live.launch.py"), payload=str(payload), **NAMED)
+    assert started[-1].executable == "mavlink_node" and started[-1].parameters["link.attitude_rate_hz"] == 50.0
+
+
+@pytest.mark.parametrize(
+    "before, after, message",
+    [
+        ("source: pylon, ", "", "tof_node has no parameter 'source'"),
+        ("source: pylon", "source: pylon, reliability: best_effort", "needs reliable"),
+        ("ros__parameters", "parameters", "no entry ros__parameters"),
+    ],
+)
+def test_live_refuses(describe, payload: Path, before: str, after: str, message: str) -> None:
+    payload.write_text(PAYLOAD.replace(before, after))
+    with pytest.raises(RgbdDicError, match=message):
+        nodes(describe(PROCESSING / "live.launch.py"), payload=str(payload), **NAMED)
 
 
 def test_replay_of_a_bag_without_regions(describe, edited, tmp_path: Path) -> None:

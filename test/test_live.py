@@ -100,8 +100,14 @@ def test_a_flight(tmp_path: Path, shown: ShownCrack, blaze: FakeBlaze, flights: 
     assert np.ptp([o.opening_m for o in valid]) > 0.2e-3  # there was something to measure
     with BagReader(tmp_path / "run" / "bag") as bag:
         recorded = {name: topic.count for name, topic in bag.topics.items()}
+        pairs = [message for _, _, message in bag.messages(["/frame_pair"])]
     assert recorded["/camera/image_raw"] == recorded["/camera/camera_info"] == recorded["/camera/time_reference"]
     assert recorded["/crack_opening"] >= len(valid) and recorded["/tof/depth/image_raw"] > 0
+    with_attitude = [pair for pair in pairs if np.isfinite(pair.attitude_offset)]
+    assert len(with_attitude) >= OPENINGS  # the autopilot came before the first of them
+    for pair in with_attitude:
+        assert abs(pair.attitude_offset) <= 0.1
+        assert np.linalg.norm([getattr(pair.attitude, axis) for axis in "xyzw"]) == pytest.approx(1, abs=1e-6)
     assert recorded["/imu/data"] > 0 and recorded["/tof/time_reference"] > 0
 
 

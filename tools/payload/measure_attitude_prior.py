@@ -37,7 +37,7 @@ SWAYS_RAD = (0.01, 0.03, 0.1)  # RMS about each axis: a hand; a drone in wind; a
 SWAY_M = 0.02
 NOISE_RAD = 0.005  # of a turn told by an attitude, about each axis
 RATE_HZ = 60.0
-SIZE = {"width_px": 720, "height_px": 540}
+SIZE = {"width_px": 480, "height_px": 360, "supersampling": 2}
 LEAST_IN_VIEW = 0.25
 BEFORE = 3  # images before the gap
 
@@ -79,7 +79,7 @@ class Tried:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--flights", type=int, default=20, help="of each kind (default: %(default)s)")
+    parser.add_argument("--flights", type=int, default=12, help="of each kind (default: %(default)s)")
     flights = parser.parse_args().flights
     keyframe.SubsetSearch = PriorSearch
     cv2.setNumThreads(1)

@@ -36,10 +36,9 @@ def frame_rate(name: str, heard: Heard, wanted_hz: float) -> Finding:
 def lost_frames(name: str, heard: Heard) -> Finding:
     """Whether all frames arrived whole."""
     lost = sum(heard.counts[kind] for kind in ("lost", "incomplete", "failed"))
-    share = lost / max(lost + len(heard.stamps_ns), 1)
-    text = f"{lost} of {lost + len(heard.stamps_ns)} frames lost or broken"
+    sent = lost + len(heard.stamps_ns)
     remedy = "socket buffers or usbfs memory (below), the cable, an interface or port for this camera alone"
-    return graded(name, text, remedy, lost == 0, share <= 0.01)
+    return graded(name, f"{lost} of {sent} frames lost or broken", remedy, lost == 0, lost <= max(1, 0.01 * sent))
 
 
 def camera_clock(name: str, heard: Heard) -> Finding:
