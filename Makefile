@@ -65,6 +65,8 @@ format: .venv/.installed         ## format all code
 
 docs: demo                       ## tables and figures of README and docs, from what the commands print now
 	@$(run) python tools/docs/regenerate.py
+	@if [ -x /usr/bin/chromium ]; then $(run) python tools/docs/page_pictures.py; \
+	else echo "pictures of the operator's pages are left as they are: no /usr/bin/chromium"; fi
 
 sample: build                    ## bags/sample, anew
 	@rm -rf bags/sample

@@ -139,6 +139,17 @@ def test_every_file_has_an_example() -> None:
     assert {name for name, _ in examples()} == set(LOADERS)
 
 
+def test_every_image_is_shown_and_can_be_made_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By tools/docs/regenerate.py, or by a script that the page which shows it names."""
+    monkeypatch.syspath_prepend(ROOT / "tools/docs")
+    made = set(runpy.run_path(str(ROOT / "tools/docs/regenerate.py"))["PICTURES"])
+    for image in (ROOT / "docs/images").iterdir():
+        showing = [page for page in PAGES if f"images/{image.name})" in page.read_text()]
+        assert showing, f"no page shows docs/images/{image.name}"
+        named = any(re.search(r"python tools/\S+\.py", page.read_text()) for page in showing)
+        assert image.name in made or named, f"nothing tells how docs/images/{image.name} was made"
+
+
 def test_maps_are_described() -> None:
     """The table of displacement_maps.npz has the fields that `Run.save` writes, all those of DisplacementField."""
     section = (ROOT / "docs/files.md").read_text().split("### displacement_maps.npz")[1].split("\n## ")[0]

@@ -11,8 +11,8 @@ LIMIT_BYTES = 300_000
 STEP = 0.85
 
 
-def small_copy(source: Path, target: Path) -> None:
-    """A PNG of at most 256 colours below the limit; if it must, with fewer pixels."""
+def small_copy(source: Path, target: Path, full_colour: bool = False) -> None:
+    """A PNG below the limit, of at most 256 colours unless it is to have all; if it must, with fewer pixels."""
     with Image.open(source) as picture:
         full = picture.convert("RGB")
     scale, data = 1.0, b""
@@ -20,7 +20,7 @@ def small_copy(source: Path, target: Path) -> None:
         size = (round(full.width * scale), round(full.height * scale))
         smaller = full if scale == 1.0 else full.resize(size, Image.Resampling.LANCZOS)
         buffer = io.BytesIO()
-        smaller.quantize(256).save(buffer, "PNG", optimize=True)
+        (smaller if full_colour else smaller.quantize(256)).save(buffer, "PNG", optimize=True)
         data, scale = buffer.getvalue(), scale * STEP
     target.parent.mkdir(parents=True, exist_ok=True)
     if not target.exists() or target.read_bytes() != data:

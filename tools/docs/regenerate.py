@@ -7,7 +7,7 @@ is out of date.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import node_tables
@@ -15,6 +15,7 @@ import settings_tables
 from blocks import replace_block, table
 from pictures import small_copy
 from rgbd_dic_processing.calibrating.settings import CalibratingSettings
+from rgbd_dic_processing.frame_files import BUDGETS_HEADER, IMAGES_HEADER, PLANES_HEADER
 from rgbd_dic_processing.history.settings import AlignmentSettings
 from rgbd_dic_processing.results import HEADER
 
@@ -22,7 +23,9 @@ ROOT = Path(__file__).parents[2]
 DEMO = ROOT / "results" / "demo"
 CHAPTERS = {chapter: ROOT / "results" / chapter for chapter in ("chapter3", "chapter4")}
 PICTURES = {  # docs/images <- what made it, and the file there
+    "demo_overview.png": (DEMO, "overview.png"),
     "demo_history.png": (DEMO, "history.png"),
+    "demo_budget.png": (DEMO, "budget.png"),
     "demo_maps.png": (DEMO, "maps_h_pose_widest.png"),
     **{
         f"{chapter}_{name}.png": (CHAPTERS[chapter], f"{chapter}_{name}.png")
@@ -34,6 +37,7 @@ PICTURES = {  # docs/images <- what made it, and the file there
         for name in names
     },
 }
+FIRST_PICTURE = "demo_overview.png"  # of the README, in full colour
 
 # Columns of crack_opening.csv: unit, meaning, when it is nan or empty.
 COLUMNS = {
@@ -62,12 +66,61 @@ COLUMNS = {
 }
 
 
-def csv_table() -> str:
-    """The columns of crack_opening.csv."""
-    if tuple(COLUMNS) != tuple(HEADER):
-        raise SystemExit(f"the columns of crack_opening.csv are {', '.join(HEADER)}: describe them in {__file__}")
-    rows = [(f"`{name}`", unit, meaning, missing) for name, (unit, meaning, missing) in COLUMNS.items()]
-    return table(("Column", "Unit", "Meaning", "nan when"), rows)
+IMAGES_COLUMNS = {
+    "stamp_ns": ("ns", "stamp of the image", "never"),
+    "status": ("", "of the DIC: `OK`, `BAD_IMAGE` or `LOST`", "never"),
+    "seed": ("", "where the first guess came from: `SEED_...` of `SubsetField.msg`", "never"),
+    "subsets": ("", "of the reference", "never"),
+    "found": ("", "of these, those that were found", "never"),
+    "zncc_median": ("", "median of the correlation of the found ones", "none was found"),
+    "zncc_5th_percentile": ("", "its 5th percentile", "none was found"),
+    "sigma_px": ("px", "median of the standard uncertainty of a coordinate of the found ones", "none was found"),
+    "depth_offset_s": (
+        "s",
+        "as in `crack_opening.csv`, whether the image could be measured or not",
+        "no ToF frame is near",
+    ),
+}
+PLANES_COLUMNS = {
+    "stamp_ns": ("ns", "stamp of the ToF frame, less `pairing.tof_delay_s`", "never"),
+    "status": ("", "`OK`, `BAD_DEPTH` or `NO_PLANE`", "never"),
+    "points": ("", "ToF points in the panel region", "never"),
+    "inliers": ("", "of these, those on the plane", "never"),
+    "residual_rms_mm": ("mm", "RMS of the inliers' distance from the plane, along z", "no plane"),
+    "distance_mm": ("mm", "of the plane from the camera", "no plane"),
+    "tilt_deg": ("degrees", "between the plane's normal and the camera's axis", "no plane"),
+    "reason": ("", "why there is no plane, in words", "there is one (empty)"),
+}
+BUDGETS_COLUMNS = {
+    "stamp_ns": ("ns", "stamp of the image", "never"),
+    "method": ("", "compensation method", "never"),
+    "u_opening_mm": ("mm", "standard uncertainty of the opening", "never"),
+    "u_subsets_mm": ("mm", "noise of the subsets in the zones, with way to the keyframe and misfit", "never"),
+    "u_motion_mm": ("mm", "the same in the fixed region, by way of the motion", "never"),
+    "u_overlap_mm": ("mm", "twice the covariance of these two", "never"),
+    "u_reference_plane_mm": ("mm", "plane of the panel in the reference", "never"),
+    "u_frame_plane_mm": ("mm", "plane of the panel in the image", "never"),
+    "u_deformation_mm": (
+        "mm",
+        "deformation of the fixed region that may be taken for motion; `h_joint`: with the panel's plane",
+        "never",
+    ),
+    "u_shape_mm": ("mm", "curvature of the panel", "never"),
+    "u_scale_mm": ("mm", "scale of all lengths: distance of the reference plane", "never"),
+    "residual_px": ("px", "RMS reprojection error of the fixed region's subsets that agree with the motion", "never"),
+}
+
+
+def csv_table(name: str, columns: dict[str, tuple[str, str, str]], header: Sequence[str]) -> Callable[[], str]:
+    """The columns of a CSV file."""
+
+    def made() -> str:
+        if tuple(columns) != tuple(header):
+            raise SystemExit(f"the columns of {name} are {', '.join(header)}: describe them in {__file__}")
+        rows = [(f"`{column}`", unit, meaning, missing) for column, (unit, meaning, missing) in columns.items()]
+        return table(("Column", "Unit", "Meaning", "nan when"), rows)
+
+    return made
 
 
 def demo_table() -> str | None:
@@ -93,7 +146,12 @@ FROM_CODE: dict[str, dict[str, Callable[[], str | None]]] = {
         "processing": lambda: node_tables.section("rgbd_dic_processing", node_tables.PROCESSING),
         "acquisition": lambda: node_tables.section("rgbd_dic_acquisition", node_tables.ACQUISITION),
     },
-    "docs/files.md": {"csv": csv_table},
+    "docs/files.md": {
+        "csv": csv_table("crack_opening.csv", COLUMNS, HEADER),
+        "images": csv_table("images.csv", IMAGES_COLUMNS, IMAGES_HEADER),
+        "planes": csv_table("planes.csv", PLANES_COLUMNS, PLANES_HEADER),
+        "budgets": csv_table("uncertainty.csv", BUDGETS_COLUMNS, BUDGETS_HEADER),
+    },
     "docs/calibration.md": {"calibrating": lambda: settings_tables.sections({"calibrating": CalibratingSettings})},
     "docs/history.md": {"alignment": lambda: settings_tables.sections({"alignment": AlignmentSettings})},
     "docs/laboratory.md": {"laboratory": lambda: settings_tables.sections(settings_tables.LABORATORY)},
@@ -147,7 +205,7 @@ def copy_pictures() -> None:
         elif not (folder / source).exists():
             print(f"docs/images/{name} is left as it is: run make demo or make validate first")
         else:
-            small_copy(folder / source, ROOT / "docs" / "images" / name)
+            small_copy(folder / source, ROOT / "docs" / "images" / name, full_colour=name == FIRST_PICTURE)
 
 
 def main() -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from importlib import metadata
 from pathlib import Path
@@ -19,6 +19,7 @@ from .core.displacement_field import DisplacementField
 from .core.stamps import Stretches
 from .core.status import FrameStatus
 from .core.subset_field import Reference
+from .frame_files import FrameRecords
 from .results import CSV_NAME, read_openings, write_openings
 
 MAPS_NAME, RUN_NAME, REFERENCE_NAME = "displacement_maps.npz", "run.yaml", "reference.png"
@@ -26,19 +27,26 @@ TRUTH_NAME = "truth.csv"
 
 
 class MapSelection:
-    """Keeps, for each method, the displacement fields worth a map: at the widest opening, and the last valid one.
+    """Keeps, for each method, the displacement fields worth a map: at the widest opening, the last valid one, and the
+    valid ones nearest to chosen moments.
 
     Of all fields it keeps the stamps of the keyframes after the reference, `renewed_ns`, and how often the stamps of a
     method's images jump back.
+
+    Args:
+        instants_s: the chosen moments, since the first image.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, instants_s: Sequence[float] = ()) -> None:
+        self._instants_s, self._start_ns = instants_s, 0
+        self._nearest: dict[tuple[str, float], tuple[float, DisplacementField]] = {}
         self._widest: dict[str, tuple[float, DisplacementField]] = {}
         self._last: dict[str, DisplacementField] = {}
         self._stamps: dict[str, Stretches] = {}
         self.renewed_ns: set[int] = set()
 
     def add(self, displacement: DisplacementField, opening: CrackOpening | None) -> None:
+        self._start_ns = self._start_ns or displacement.stamp_ns
         self._stamps.setdefault(displacement.method, Stretches()).place(displacement.stamp_ns)
         if displacement.keyframe_stamp_ns != displacement.reference_stamp_ns:
             self.renewed_ns.add(displacement.keyframe_stamp_ns)
@@ -48,11 +56,23 @@ class MapSelection:
         size = abs(opening.opening_m) if opening is not None and opening.valid else -1.0
         if displacement.method not in self._widest or size > self._widest[displacement.method][0]:
             self._widest[displacement.method] = (size, displacement)
+        for instant_s in self._instants_s:
+            key, away_s = (displacement.method, instant_s), abs(self._since_start_s(displacement) - instant_s)
+            if key not in self._nearest or away_s < self._nearest[key][0]:
+                self._nearest[key] = (away_s, displacement)
+
+    def _since_start_s(self, displacement: DisplacementField) -> float:
+        return (displacement.stamp_ns - self._start_ns) * 1e-9
 
     def maps(self) -> dict[str, dict[str, DisplacementField]]:
-        """method -> "widest" and "last" -> field."""
+        """method -> "widest", "last" and, for each chosen moment, "at_1.5_s" -> field."""
         return {
-            method: {"widest": self._widest[method][1], "last": self._last[method]} for method in sorted(self._last)
+            method: {
+                "widest": self._widest[method][1],
+                "last": self._last[method],
+                **{f"at_{instant_s:g}_s": self._nearest[method, instant_s][1] for instant_s in self._instants_s},
+            }
+            for method in sorted(self._last)
         }
 
     def facts(self) -> dict[str, Any]:
@@ -76,6 +96,7 @@ class Run:
     settings: dict[str, Any]
     facts: dict[str, Any] = field(default_factory=dict)
     versions: dict[str, str] = field(default_factory=dict)
+    frames: FrameRecords = field(default_factory=FrameRecords)
 
     def save(self, folder: Path, copies: Mapping[str, Path | None] | None = None) -> None:
         """Write the folder; `copies` (name -> file, such as regions.yaml) are put beside the results.
@@ -86,6 +107,7 @@ class Run:
         try:
             folder.mkdir(parents=True, exist_ok=True)
             write_openings(self.openings, folder / CSV_NAME)
+            self.frames.save(folder)
             np.savez_compressed(folder / MAPS_NAME, **_flat(self.maps))
             content = {
                 "inputs": self.inputs,
@@ -118,7 +140,7 @@ class Run:
             content = yaml.safe_load((folder / RUN_NAME).read_text())
             with np.load(folder / MAPS_NAME) as arrays:
                 maps = _nested({name: arrays[name] for name in arrays.files})
-        except (OSError, ValueError, yaml.YAMLError) as error:
+        except (OSError, TypeError, ValueError, yaml.YAMLError) as error:
             raise RgbdDicError(f"{folder} is not the folder of a run (no {RUN_NAME}, {MAPS_NAME}): {error}") from error
         reference = None
         image = cv2.imread(str(folder / REFERENCE_NAME), cv2.IMREAD_GRAYSCALE)
@@ -139,6 +161,7 @@ class Run:
             content["settings"],
             content["facts"],
             content["versions"],
+            FrameRecords.load(folder),
         )
 
 

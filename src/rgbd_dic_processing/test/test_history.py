@@ -272,7 +272,8 @@ def linear_field(torn=()):
     position = 2e-3 * (np.outer(centres[:, 0], across) + np.outer(centres[:, 1], along))
     return DisplacementField(
         1, 0, 0, "h_pose", FrameStatus.OK, "", 0.0, 15.0, centres.astype(np.float32), position, displacement,
-        np.full(displacement.shape, 1e-6, np.float32), np.zeros((0, 3, 6)), np.zeros((0, 2, 3)), 0.0, np.nan, 0.0,
+        np.full(displacement.shape, 1e-6, np.float32), np.zeros((0, 3, 6)), np.zeros(0, np.uint8),
+        np.zeros((0, 2, 3)), 0.0, np.nan, 0.0,
     )  # fmt: skip
 
 

@@ -16,15 +16,19 @@ from rgbd_dic_acquisition.errors import RgbdDicError
 from rgbd_dic_processing.cli import main
 from rgbd_dic_processing.core.crack import CrackOpening
 from rgbd_dic_processing.core.displacement_field import DisplacementField
+from rgbd_dic_processing.core.frame_quality import ImageQuality, PlaneQuality
+from rgbd_dic_processing.core.opening_budget import OpeningBudget
 from rgbd_dic_processing.core.regions_file import load_regions
+from rgbd_dic_processing.core.search import SeedSource
 from rgbd_dic_processing.core.settings import ProcessingSettings
 from rgbd_dic_processing.core.status import FrameStatus
 from rgbd_dic_processing.core.subset_field import Reference
+from rgbd_dic_processing.frame_files import FrameRecords
 from rgbd_dic_processing.report import write_report
-from rgbd_dic_processing.report.drawing import STROKES, envelope
+from rgbd_dic_processing.report.drawing import STROKES, envelope, with_gaps
 from rgbd_dic_processing.report.map_background import Background
 from rgbd_dic_processing.report.map_sides import sides_of
-from rgbd_dic_processing.runs import Run
+from rgbd_dic_processing.runs import MapSelection, Run
 
 START, PERIOD = 1_750_000_000_000_000_000, 50_000_000
 CENTRES = np.stack(np.meshgrid(np.arange(20, 141, 10), np.arange(20, 101, 10)), axis=-1).reshape(-1, 2)
@@ -64,7 +68,8 @@ def field(k, method="h_pose"):
     moved[7] = NAN
     return DisplacementField(
         stamp(k), START, START, method, FrameStatus.OK, "", 0.004, 9, CENTRES.astype(np.float32),
-        CENTRES * 1e-3, moved, np.full(moved.shape, 1e-6, np.float32), np.zeros((0, 3, 6)), np.zeros((0, 2, 3)),
+        CENTRES * 1e-3, moved, np.full(moved.shape, 1e-6, np.float32), np.zeros((0, 3, 6)), np.zeros(0, np.uint8),
+        np.zeros((0, 2, 3)),
         1e-3, np.nan, 0.01,
     )  # fmt: skip
 
@@ -88,7 +93,30 @@ def usual_run():
         {"bag": "/home/somebody/flights/bridge_4", "regions": "regions.yaml"},
         ProcessingSettings().as_dict(),
         {"frames lost": 0},
+        frames=frame_records(openings),
     )
+
+
+PARTS_MM = {"h_pose": (3e-3, 4e-3, -1e-3, 2e-3, 0, 0, 0, 1e-3), "h_3d": (3e-3, 4e-3, 0, 1e-3, 60e-3, 0, 0, 1e-3)}
+
+
+def frame_records(openings):
+    """30 images, 10 ToF frames of which two have no plane, and the same budget for all openings of a method."""
+    images = [
+        ImageQuality(stamp(k), FrameStatus.OK, SeedSource.PREDICTION, 117, 116, 0.99 - 1e-3 * k, 0.95, 0.003, 0.004)
+        for k in range(30)
+    ]
+    planes = [PlaneQuality(stamp(3 * k), FrameStatus.OK, "", 900, 880, 0.005, 1.2, 0.1) for k in range(8)]
+    reason = "12 ToF points on the panel, at least 50 needed"
+    planes += [PlaneQuality(stamp(3 * k), FrameStatus.NO_PLANE, reason, 12, 0, NAN, NAN, NAN) for k in (8, 9)]
+    roots = {method: np.array(values) * 1e-3 for method, values in PARTS_MM.items()}
+    budgets = [
+        OpeningBudget(o.stamp_ns, o.method, math.sqrt(sum(root * abs(root))), root * abs(root), 0.01)
+        for o in openings
+        if o.valid
+        for root in (roots[o.method],)
+    ]
+    return FrameRecords(images, planes, budgets)
 
 
 def saved(run, folder, truth=True, regions=True):
@@ -166,19 +194,86 @@ def test_numbers_of_the_page_are_those_of_the_files(usual):
         assert float(shown["error within 2 u"].removesuffix("%")) == pytest.approx(within, abs=0.51)
 
 
+def test_budget_adds_up(usual):
+    """The rows are those of `PARTS_MM` that occur, with their signs, and the last is the root of their squares' sum."""
+    _, text = usual
+    header, *rows = Tables(text).tables["budget"]
+    assert header[1:] == ["h_pose", "h_3d"]
+    shown = {row[0]: [float(value) for value in row[1:]] for row in rows}
+    assert len(shown) == 7  # without deformation and curvature; the last is the sum
+    for place, parts in enumerate(PARTS_MM.values()):
+        values = [column[place] for column in shown.values()]
+        occurring = [parts[i] for i in (0, 1, 2, 3, 4, 7)]
+        assert values[:-1] == pytest.approx(occurring, abs=0.51e-5)
+        assert values[-1] == pytest.approx(math.sqrt(sum(v * abs(v) for v in occurring)), abs=0.51e-5)
+
+
+def test_tof_frames_without_a_plane_are_told(usual):
+    _, text = usual
+    assert "10 ToF frames, 8 with a plane" in text
+    rows = Tables(text).tables["planes"][1:]
+    assert rows == [["no plane found", "2", "12 ToF points on the panel, at least 50 needed"]]
+
+
+CALIBRATED = """
+camera:
+  image_size_px: [160, 120]
+  focal_length_px: [819.5, 821.97]
+  principal_point_px: [79.5, 59.5]
+  radial_distortion: [0.0084, 0.0843]
+"""
+ESTIMATED = """
+estimates:
+  camera.fx: {value: 819.5, u: 0.12}
+  camera.fy: {value: 822.5, u: 0.12}
+"""
+
+
+def test_uncertainties_of_the_calibration_belong_to_its_numbers(tmp_path):
+    """fy is not the one that was estimated; k1 was not estimated at all."""
+    folder = saved(replace(usual_run(), maps={}), tmp_path / "run")
+    (folder / "calibration.yaml").write_text(CALIBRATED)
+    (folder / "estimates.yaml").write_text(ESTIMATED)
+    rows = Tables(write_report(folder).read_text(encoding="utf-8")).tables["calibrated"][1:]
+    shown = {row[0]: row[1:4] for row in rows}
+    assert shown["camera.fx"] == ["819.50", "0.12", "px"]
+    assert shown["camera.fy"] == ["821.97", "–", "px"]
+    assert shown["camera.k1"] == ["0.0084", "–", ""]
+    assert len(shown) == 6
+
+
+def test_a_line_breaks_where_frames_are_missing():
+    """Of frames every 0.1 s, 9 are missing after the fifth, and one after the tenth, which is bridged."""
+    time = np.delete(np.arange(25) * 0.1, [*range(5, 14), 19])
+    drawn, values = with_gaps(time, np.ones(len(time)))
+    assert len(drawn) == 24 and np.isnan(values).sum() == 9
+    assert np.isnan(values[5:14]).all() and (np.diff(drawn) > 0).all()
+
+
+def test_maps_of_chosen_moments_are_the_nearest_valid_ones():
+    selection = MapSelection([0.26, 5.0])
+    for k in range(30):
+        valid = k != 5
+        selection.add(field(k) if valid else replace(field(k), status=FrameStatus.LOST), opening(k))
+    kept = selection.maps()["h_pose"]
+    assert {label: one.stamp_ns for label, one in kept.items()} == {
+        "widest": stamp(29), "last": stamp(29), "at_0.26_s": stamp(6), "at_5_s": stamp(29)
+    }  # fmt: skip
+
+
 def test_invalid_frames_are_counted_by_reason(usual):
     _, text = usual
     _, *lines = Tables(text).tables["failures"]
     assert lines == [
-        ["h_3d", "pattern not found", "2", "0.20", "the pattern <i>was</i> not found"],
-        ["h_3d", "no ToF frame in time", "1", "1.00", "no ToF frame near enough in time"],
+        ["h_3d", "pattern not found", "2", "0.20", "0.25", "0.10", "the pattern <i>was</i> not found"],
+        ["h_3d", "no ToF frame in time", "1", "1.00", "1.00", "0.05", "no ToF frame near enough in time"],
     ]
     assert "<i>" not in text
 
 
 def test_page_needs_and_tells_nothing_from_outside(usual):
     folder, text = usual
-    assert not re.search(r"https?:|<script|<link|href=|@import|url\(", text)
+    assert not re.search(r"https?:|<script|<link|href=.(?!#)|@import|url\(", text)
     assert all(source.startswith("data:image/png;base64,") for source in re.findall(r'src="([^"]*)"', text))
     assert "bridge_4" in text
     assert "/home/" not in text and str(folder.parent) not in text
@@ -188,7 +283,8 @@ def test_page_needs_and_tells_nothing_from_outside(usual):
 def test_figures_are_drawn_and_embedded(usual):
     folder, text = usual
     embedded = [base64.b64decode(data) for data in re.findall(r"base64,([^\"]*)", text)]
-    names = ["history", "quality", "maps_h_pose_widest", "maps_h_3d_widest", "maps_h_3d_last", "zone_sensitivity"]
+    names = ["overview", "history", "validity", "maps_h_pose_widest", "maps_h_3d_widest", "maps_h_3d_last", "budget"]
+    names += ["quality", "tof", "zone_sensitivity"]
     assert embedded == [(folder / f"{name}.png").read_bytes() for name in names]
     assert not (folder / "maps_h_pose_last.png").exists()  # the widest frame of h_pose is its last
     for name in names:
@@ -242,20 +338,25 @@ def test_reference_that_fits_no_method_is_refused(tmp_path, capsys):
 
 def only_failures(run):
     openings = [failed(k, "h_pose", FrameStatus.BAD_DEPTH, "empty depth frame") for k in range(5)]
-    return replace(run, openings=openings, maps={})
+    return replace(run, openings=openings, maps={}, frames=FrameRecords())
 
 
 @pytest.mark.parametrize(
     ("change", "says", "pictures"),
     [
         (only_failures, "No frame of this run is valid", 2),
-        (lambda run: replace(run, openings=[]), "displacement maps only", 2),
-        (lambda run: replace(run, openings=[], maps={}, reference=None), "no frame was measured", 0),
-        (lambda run: replace(run, openings=run.openings[:30], maps={}), "no valid field was kept", 2),
-        (lambda run: replace(run, openings=run.openings[:1]), "1 image over 0.00 s", 4),
-        (lambda run: replace(run, reference=None, settings={}), "None were saved", 5),
+        (lambda run: replace(run, openings=[], frames=FrameRecords()), "displacement maps only", 2),
+        (lambda run: replace(run, openings=[], frames=replace(run.frames, budgets=[])), "displacement maps only", 4),
+        (
+            lambda run: replace(run, openings=[], maps={}, reference=None, frames=FrameRecords()),
+            "no frame was measured",
+            0,
+        ),
+        (lambda run: replace(run, openings=run.openings[:30], maps={}, frames=FrameRecords()), "no valid field was", 3),
+        (lambda run: replace(run, openings=run.openings[:1], frames=FrameRecords()), "1 image over 0.00 s", 6),
+        (lambda run: replace(run, reference=None, settings={}), "None were saved", 9),
     ],
-    ids=["no valid frame", "no crack", "nothing", "one method", "one row", "no reference"],
+    ids=["no valid frame", "no crack", "no crack but frames", "nothing", "one method", "one row", "no reference"],
 )
 @pytest.mark.filterwarnings("error")
 def test_little_to_tell_is_told(change, says, pictures, tmp_path):

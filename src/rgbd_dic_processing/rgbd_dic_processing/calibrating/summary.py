@@ -51,7 +51,7 @@ def rows(result: Calibrated) -> list[Row]:
             ("range.slope", b.slope, b.u_slope),
             ("range.dark", b.dark_m, b.u_dark_m),
         ]
-    return [_row(name, value, sigma) for name, value, sigma in known if math.isfinite(value)]
+    return [row(name, value, sigma) for name, value, sigma in known if math.isfinite(value)]
 
 
 def save_estimates(result: Calibrated, path: Path, inputs: dict[str, Any], versions: dict[str, str]) -> None:
@@ -97,7 +97,8 @@ def _short(value: float) -> float:
     return float(f"{value:.5g}")
 
 
-def _row(name: str, value: float, sigma: float) -> Row:
+def row(name: str, value: float, sigma: float) -> Row:
+    """An estimate `camera.fx` [px], `T_camera_tof.x` [m], ... of which the uncertainty may be unknown: NaN."""
     unit, factor, meaning = MEANINGS[name.split(".")[1]]
     if not (np.isfinite(sigma) and sigma > 0):
         return Row(name, f"{factor * value:.6g}", "–", unit, meaning)

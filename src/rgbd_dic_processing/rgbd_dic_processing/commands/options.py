@@ -19,6 +19,7 @@ from ..runs import TRUTH_NAME, Run
 from ..summary import SUMMARY_NAME, summary
 
 NOTHING_VALID = 3
+ESTIMATES_NAME = "estimates.yaml"  # that `rgbd-dic calibrate` writes beside calibration.yaml
 
 
 def add_inputs(parser: argparse.ArgumentParser) -> None:
@@ -44,6 +45,15 @@ def add_measurement(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--out", type=Path, required=True, help="folder for the results; made if missing")
     parser.add_argument("--truth", type=Path, help="CSV with stamp_ns [ns] and opening_mm [mm] to compare with")
+    parser.add_argument(
+        "--maps-at",
+        type=float,
+        nargs="+",
+        default=[],
+        metavar="S",
+        help="moments since the first image [s] of which displacement maps are kept too, beside those of the widest "
+        "opening and of the last valid frame",
+    )
 
 
 def measurement_settings(options: argparse.Namespace) -> tuple[ProcessingSettings, tuple[str, ...]]:
@@ -99,7 +109,10 @@ def complete_regions(
 
 def finish(run: Run, folder: Path, regions: Path, calibration: Path | None, truth_path: Path | None) -> int:
     """Save a run with its inputs and its summary, print the summary; returns the exit code."""
-    run.save(folder, {"regions.yaml": regions, "calibration.yaml": calibration, TRUTH_NAME: truth_path})
+    copies = {"regions.yaml": regions, "calibration.yaml": calibration, TRUTH_NAME: truth_path}
+    if calibration is not None and (estimates := calibration.parent / ESTIMATES_NAME).exists():
+        copies[ESTIMATES_NAME] = estimates
+    run.save(folder, copies)
     text = summary(run, read_truth(truth_path) if truth_path else None)
     (folder / SUMMARY_NAME).write_text(text)
     print(text)

@@ -9,11 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from rgbd_dic_acquisition.bag import BagReader
+from rgbd_dic_acquisition.calibration import save_calibration
 from rgbd_dic_acquisition.errors import BagError
 
 from ..core.pipeline import Pipeline
 from ..core.regions_file import load_regions
 from ..core.sensor_delay import TOLD_AS
+from ..frame_files import FrameRecords
 from ..recorded import calibration_of, calibration_warning, frame_count, measure_bag
 from ..results import read_truth
 from ..runs import MapSelection, Run
@@ -39,7 +41,7 @@ def run(options: argparse.Namespace) -> int:
     truth_path = options.truth or beside(options.bag, "truth.csv")
     if truth_path is not None:
         read_truth(truth_path)  # a malformed one is refused before the work, not after
-    selection, openings, failure = MapSelection(), [], None
+    selection, openings, budgets, failure = MapSelection(options.maps_at), [], [], None
     with BagReader(options.bag) as bag:
         calibration = calibration_of(bag, calibration_path)
         if warning := calibration_warning(bag, calibration):
@@ -54,6 +56,8 @@ def run(options: argparse.Namespace) -> int:
                         selection.add(measurement.field, measurement.opening)
                         if measurement.opening is not None:
                             openings.append(measurement.opening)
+                        if measurement.budget is not None:
+                            budgets.append(measurement.budget)
                     bar.update(min(1, bar.total - bar.n))
             except BagError as error:  # what was measured before is kept
                 failure = error
@@ -63,12 +67,17 @@ def run(options: argparse.Namespace) -> int:
         "calibration": str(calibration_path or "in the bag"),
         "methods": ", ".join(methods),
     }
+    if calibration_path is None:
+        calibration_path = options.out / "calibration.yaml"
+        options.out.mkdir(parents=True, exist_ok=True)
+        save_calibration(calibration, calibration_path)
     reference = pipeline.tracking.reference
     delay = pipeline.sensor_delay()
     if delay.warning:
         print(f"warning: {delay.warning}", file=sys.stderr)
     facts = {**selection.facts(), TOLD_AS: str(delay)}
-    result = Run(openings, selection.maps(), reference, inputs, settings.as_dict(), facts)
+    frames = FrameRecords(pipeline.quality.images(), pipeline.quality.planes, budgets)
+    result = Run(openings, selection.maps(), reference, inputs, settings.as_dict(), facts, frames=frames)
     code = finish(result, options.out, regions_path, calibration_path, truth_path)
     if failure is not None:
         raise failure

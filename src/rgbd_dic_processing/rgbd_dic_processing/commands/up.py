@@ -108,7 +108,7 @@ def run(options: argparse.Namespace) -> int:
         "calibration": str(source.files.calibration),
         "methods": ", ".join(methods),
     }
-    result = collect(outcome, output, settings, inputs)
+    result = collect(outcome, output, settings, inputs, source.files, options.maps_at)
     code = finish(result, options.out, source.files.regions, source.files.calibration, source.truth)
     if outcome.failure is not None:
         raise outcome.failure

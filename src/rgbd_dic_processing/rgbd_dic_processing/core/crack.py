@@ -11,13 +11,15 @@ from rgbd_dic_acquisition.calibration import Camera
 from rgbd_dic_acquisition.errors import MeasurementError
 from scipy.sparse import csr_matrix
 
+from .crack_uncertainty import variance_parts
 from .displacement_field import DisplacementField
+from .error_sources import ErrorSource
 from .geometry import apply_homography
 from .homography import fit_homography
 from .regions import CrackZones
 from .settings import CrackSettings
 from .status import FrameStatus
-from .uncertainty import overlap_correlation, quadratic_terms
+from .uncertainty import overlap_correlation
 
 Array = NDArray[np.float64]
 NAN3 = np.full(3, np.nan)
@@ -70,6 +72,11 @@ class CrackMeasurement:
         self._layout: _ZoneLayout | None = None
 
     def measure(self, field: DisplacementField) -> CrackOpening:
+        return self.measure_with_parts(field)[0]
+
+    def measure_with_parts(self, field: DisplacementField) -> tuple[CrackOpening, Array]:
+        """The opening, and the parts (sources,) by `ErrorSource` that the variance of it is the sum of [m^2]; NaN where
+        it is not valid."""
         if field.status != FrameStatus.OK:
             return _invalid(field, field.status, field.reason)
         layout = self._zone_layout(field)
@@ -96,11 +103,12 @@ class CrackMeasurement:
         means = [shares @ field.displacement_m[zone] for zone, shares in sides]
         apart = means[1] - means[0]
         jump = np.append(axes @ apart[:2], apart[2])
-        variance = self._variance(field, layout, axes, sides) + (jump * field.scale_uncertainty) ** 2
+        parts = variance_parts(field, layout.correlation, axes, sides, jump)
+        variance = parts.sum(axis=0)
         variance[2] += field.u_step_m**2
         magnitude, u_magnitude = _magnitude(jump, variance)
         sigma = np.sqrt(variance)
-        return CrackOpening(
+        opening = CrackOpening(
             field.stamp_ns,
             field.reference_stamp_ns,
             field.method,
@@ -114,32 +122,12 @@ class CrackMeasurement:
             len(right),
             field.depth_offset_s,
         )
+        return opening, parts[:, 0]
 
     def _zone_layout(self, field: DisplacementField) -> _ZoneLayout:
         if self._layout is None or not self._layout.fits(field):
             self._layout = _ZoneLayout.of(self._zones, field)
         return self._layout
-
-    def _variance(
-        self, field: DisplacementField, layout: _ZoneLayout, axes: Array, sides: list[tuple[NDArray, Array]]
-    ) -> Array:
-        """(3,) variances along the crack axes [m^2], without the scale's; NaN for z where it is not known."""
-        total = np.zeros(3)
-        for zone, shares in sides:
-            squared = field.sigma_m[zone].astype(float) ** 2
-            component = np.sqrt(np.column_stack([squared[:, :2] @ (axes**2).T, squared[:, 2]])) * shares[:, None]
-            shared = layout.correlation[zone][:, zone]
-            total += np.sum(component * (shared @ component), axis=0)
-        terms = [shares @ quadratic_terms(field.position_m[zone]) for zone, shares in sides]
-        modes = _in_crack_axes(field.modes @ (terms[1] - terms[0]), axes)
-        coupled = _in_crack_axes(field.zone_coupling[:, 1] - field.zone_coupling[:, 0], axes)
-        shared = 2 * np.sum(modes[: len(coupled)] * coupled, axis=0)
-        return np.maximum(total + np.sum(modes**2, axis=0) + shared, 0)
-
-
-def _in_crack_axes(vectors: Array, axes: Array) -> Array:
-    """Panel vectors (k, 3) -> normal, along, into the wall (k, 3)."""
-    return np.column_stack([vectors[:, :2] @ axes.T, vectors[:, 2]])
 
 
 @dataclass(frozen=True)
@@ -228,8 +216,8 @@ def _magnitude(jump: Array, variance: Array) -> tuple[float, float]:
 
 def _invalid(
     field: DisplacementField, status: FrameStatus, reason: str, n_left: int = 0, n_right: int = 0
-) -> CrackOpening:
-    return CrackOpening(
+) -> tuple[CrackOpening, Array]:
+    opening = CrackOpening(
         field.stamp_ns,
         field.reference_stamp_ns,
         field.method,
@@ -243,3 +231,4 @@ def _invalid(
         n_right,
         field.depth_offset_s,
     )
+    return opening, np.full(len(ErrorSource), np.nan)

@@ -169,6 +169,7 @@ def _invalid(
         np.full((count, 3), np.nan),
         np.full((count, 3), np.nan, np.float32),
         np.zeros((0, 3, 6)),
+        np.zeros(0, np.uint8),
         np.zeros((0, 2, 3)),
         math.nan,
         math.nan,

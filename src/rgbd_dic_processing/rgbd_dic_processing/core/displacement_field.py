@@ -23,6 +23,7 @@ class DisplacementField:
     sigma_m: (N, 3) float32, standard uncertainty from the DIC alone, NaN like the displacement.
     modes: (k, 3, 6) independent errors of the compensation of one standard deviation each: mode m displaces (x, y) by
         modes[m] @ [1, x, y, x^2, x y, y^2] metres.
+    mode_sources: (k,), the `ErrorSource` of each.
     zone_coupling: (j, 2, 3), for the first j modes, which come from the DIC's noise: covariance of the mode's unit
         error with the mean error of the left and the right measuring zone [m].
     scale_uncertainty: relative standard uncertainty of all lengths, from the distance of the reference plane.
@@ -43,6 +44,7 @@ class DisplacementField:
     displacement_m: Array
     sigma_m: NDArray[np.float32]
     modes: Array
+    mode_sources: NDArray[np.uint8]
     zone_coupling: Array
     scale_uncertainty: float
     u_step_m: float

@@ -11,6 +11,8 @@ from rgbd_dic_acquisition.calibration import Calibration
 from .crack import CrackMeasurement, CrackOpening
 from .displacement import DisplacementMeasurement
 from .displacement_field import DisplacementField
+from .frame_quality import QualityRecord
+from .opening_budget import OpeningBudget
 from .pairing import FramePair, FramePairing
 from .plane import PanelPlane, PlaneEstimate
 from .regions import Regions
@@ -22,10 +24,12 @@ from .tracking import SubsetTracking
 
 @dataclass(frozen=True)
 class Measurement:
-    """One image measured: the displacement field, and the opening if the regions have a crack."""
+    """One image measured: the displacement field, and, if the regions have a crack, the opening with, if it is valid,
+    what its uncertainty is made of."""
 
     field: DisplacementField
     opening: CrackOpening | None
+    budget: OpeningBudget | None
 
 
 class Pipeline:
@@ -35,6 +39,9 @@ class Pipeline:
 
     Args:
         methods: names of the compensation methods; None takes the one of the settings.
+
+    Attributes:
+        quality: what the frames so far are like.
     """
 
     def __init__(
@@ -54,6 +61,7 @@ class Pipeline:
             for method in methods
         }
         self.crack = CrackMeasurement(camera, regions.crack, settings.crack) if regions.crack is not None else None
+        self.quality = QualityRecord()
         self._reference: Reference | None = None
 
     def add_image(self, stamp_ns: int, image: NDArray[np.uint8] | None, reason: str = "") -> list[Measurement]:
@@ -92,6 +100,7 @@ class Pipeline:
         pairs: list[FramePair],
         planes: list[PlaneEstimate],
     ) -> list[Measurement]:
+        self.quality.add(field, pairs, planes)
         fields: list[DisplacementField] = []
         for step in self.displacement.values():
             if reference is not None:
@@ -105,4 +114,7 @@ class Pipeline:
         return [self._opening(field) for field in fields]
 
     def _opening(self, field: DisplacementField) -> Measurement:
-        return Measurement(field, self.crack.measure(field) if self.crack else None)
+        if self.crack is None:
+            return Measurement(field, None, None)
+        opening, parts = self.crack.measure_with_parts(field)
+        return Measurement(field, opening, OpeningBudget.of(field, opening, parts) if opening.valid else None)

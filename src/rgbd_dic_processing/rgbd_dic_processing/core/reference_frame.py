@@ -15,6 +15,7 @@ from .compensation.h_pose import fit_pose, sensitivity
 from .compensation.motion import Compensation, FrameView, PanelGeometry
 from .curvature import Curvature
 from .displacement_field import DisplacementField
+from .error_sources import ErrorSource
 from .geometry import Plane, apply_homography, pose_from_homography
 from .joining import JoinedFrame
 from .panel_motion import PanelMotion, Pose
@@ -212,13 +213,14 @@ class ReferenceFrame:
         per_x, per_y = (now(view.moved_px + shift) - moved for shift in np.eye(2))
         sigma_px = np.hypot(view.sigma_px, compensation.misfit_px)
         sigma = np.sqrt((per_x * sigma_px[:, :1]) ** 2 + (per_y * sigma_px[:, 1:]) ** 2)
-        modes = _modes(compensation, realignment, self.ideal_px)
+        modes, sources = _modes(compensation, realignment, self.ideal_px), list(compensation.sources)
         if surface is not None:
             found = np.isfinite(moved[:, 0])
             shifts = surface.doubts_px(pose_from_homography(self.camera, view.seed, plane), view.fixed)
             errors = shifts[..., :1] * per_x + shifts[..., 1:] * per_y
             terms = np.linalg.pinv(quadratic_terms(start[found, :2]))
             modes = np.concatenate([modes, np.einsum("qn,knc->kcq", terms, errors[:, found])])
+            sources += [ErrorSource.SHAPE] * len(shifts)
         pi_variance = plane.normal @ plane.inverse_depth_covariance() @ plane.normal
         return DisplacementField(
             frame.field.stamp_ns,
@@ -234,6 +236,7 @@ class ReferenceFrame:
             displacement_m,
             sigma.astype(np.float32),
             modes,
+            np.array(sources, np.uint8),
             self._zone_coupling(compensation.coupling, per_x, per_y),
             float(np.hypot(-plane.d * np.sqrt(pi_variance), self._accuracy)),
             u_step_m,

@@ -39,7 +39,20 @@ def write_report(
             run can be aligned with the reference.
     """
     # matplotlib comes with these, and only when a report is asked for
-    from . import drawing, history, maps, page, quality, series, zones
+    from . import (
+        budget,
+        calibration,
+        drawing,
+        history,
+        maps,
+        overview,
+        page,
+        quality,
+        series,
+        tof_frames,
+        validity,
+        zones,
+    )
     from . import reference as beside
 
     folder = Path(folder)
@@ -49,6 +62,7 @@ def write_report(
     regions = load_regions(folder / REGIONS_NAME) if (folder / REGIONS_NAME).exists() else None
     methods = series.of_run(run.openings, known)
     misplaced, unplaced = zones.of_run(run, regions)
+    budgets, calibrated = budget.of_run(run), calibration.of_run(folder)
     other, compared = None, []
     if reference is not None:
         start_ns = start_of(run.openings)
@@ -60,13 +74,17 @@ def write_report(
         if misplaced:
             write_sensitivity(misplaced, folder / SENSITIVITY_NAME)
         with drawing.appearance():
-            pictures = [
-                *history.draw(methods, folder),
-                *(beside.draw(methods, other, compared, folder) if other is not None else []),
-                *quality.draw(methods, folder),
-                *maps.draw(run, regions, folder),
-                *zones.draw(run, regions, misplaced, folder),
-            ]
+            pictures = {
+                "overview": overview.draw(run, regions, methods, folder),
+                "history": history.draw(methods, folder),
+                "validity": validity.draw(methods, folder),
+                "reference": beside.draw(methods, other, compared, folder) if other is not None else [],
+                "maps": maps.draw(run, regions, folder),
+                "budget": budget.draw(run, budgets, folder),
+                "quality": quality.draw(run, methods, folder),
+                "tof": tof_frames.draw(run, folder),
+                "zones": zones.draw(run, regions, misplaced, folder),
+            }
         return page.write(
             folder / PAGE_NAME,
             run,
@@ -76,6 +94,8 @@ def write_report(
             beside=compared,
             misplaced=misplaced,
             unplaced=unplaced,
+            budgets=budgets,
+            calibrated=calibrated,
         )
     except OSError as error:
         raise RgbdDicError(f"cannot write the report to {folder}: {error.strerror}") from error

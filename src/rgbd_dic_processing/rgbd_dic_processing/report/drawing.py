@@ -17,11 +17,13 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 DPI = 130
+TIME_LABEL = "time since the first frame [s]"
+BROKEN = 5  # missing frames in succession that a line does not bridge
 STROKES = 1000  # a longer history is drawn as so many strokes, about one for each pixel of its width
 
 # Okabe and Ito's colours are told apart with every kind of colour vision, the line styles also in grey print.
 BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
-BLUE, VERMILION, PURPLE = "#0072B2", "#D55E00", "#CC79A7"
+BLUE, VERMILION, PURPLE, GREY = "#0072B2", "#D55E00", "#CC79A7", "0.55"
 LINES = {
     "h_pose": {"color": BLUE, "linestyle": "-"},
     "h_joint": {"color": SKY, "linestyle": (0, (5, 1))},
@@ -61,6 +63,11 @@ def appearance() -> AbstractContextManager[None]:
 def method_order(methods: Any) -> list[str]:
     """The methods in the order of the legend, any unknown ones last."""
     return [m for m in LINES if m in methods] + sorted(set(methods) - set(LINES))
+
+
+def time_range_s(end_s: float) -> tuple[float, float]:
+    """What a time axis shows of a run of this length."""
+    return (-0.01 * end_s, 1.01 * end_s) if end_s > 0 else (-0.5, 0.5)
 
 
 def line_of(method: str) -> dict[str, Any]:
@@ -106,8 +113,24 @@ def envelope(time_s: Array, low: Array, high: Array) -> tuple[Array, Array, Arra
     )
 
 
+def with_gaps(time_s: Array, *values: Array) -> tuple[Array, ...]:
+    """Times and values (n,) with NaN where at least `BROKEN` frames in succession are missing, one for each."""
+    steps = np.diff(time_s)
+    period = np.median(steps) if len(steps) else 0.0
+    missing = np.where(steps > (BROKEN + 0.5) * period, steps / max(period, 1e-9) - 1, 0)
+    counts = np.minimum(np.round(missing), len(time_s)).astype(int)  # a very long silence needs no more than that
+    if not counts.any():
+        return time_s, *values
+    places = np.repeat(np.arange(1, len(time_s)), counts)
+    inserted = np.concatenate(
+        [before + step * np.arange(1, n + 1) / (n + 1) for before, step, n in zip(time_s, steps, counts, strict=False)]
+    )
+    return np.insert(time_s, places, inserted), *(np.insert(each, places, np.nan) for each in values)
+
+
 def plot_values(axes: Axes, time_s: Array, values: Array, label: str = "", **line: Any) -> None:
-    """A history as a line that breaks where values are NaN; a value between two breaks becomes a dot."""
+    """A history as a line that breaks where values are NaN or frames are missing; a value alone becomes a dot."""
+    time_s, values = with_gaps(time_s, values)
     drawn_s, low, high = envelope(time_s, values, values)
     if len(drawn_s) < len(time_s):
         drawn_s, low = np.repeat(drawn_s, 2), np.column_stack([low, high]).ravel()
@@ -126,7 +149,8 @@ def plot_values(axes: Axes, time_s: Array, values: Array, label: str = "", **lin
 
 
 def plot_band(axes: Axes, time_s: Array, low: Array, high: Array, color: str, outlined: bool = False) -> None:
-    """A band that breaks where its limits are NaN; those of a frame between two breaks become a bar."""
+    """A band that breaks where its limits are NaN or frames are missing; those of a frame alone become a bar."""
+    time_s, low, high = with_gaps(time_s, low, high)
     drawn_s, low, high = envelope(time_s, low, high)
     axes.fill_between(drawn_s, low, high, color=color, alpha=0.2, linewidth=0)
     alone = _alone(low)

@@ -1,4 +1,4 @@
-"""history.png: the opening over time, its uncertainty and the truth; the frames that failed; the error."""
+"""history.png: the opening over time, its uncertainty and the truth; the error."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from .drawing import (
+    TIME_LABEL,
     TRUTH_LINE,
     Picture,
-    frames_per_stroke,
     line_of,
     new_figure,
     plot_band,
     plot_values,
     save,
+    time_range_s,
 )
-from .frame_states import draw_states, states
+from .panels import stroke_words
 from .series import Series
 from .summary import summarise
 
 NAME = "history.png"
-TIME_LABEL = "time since the first frame [s]"
 
 
 def draw(methods: Sequence[Series], folder: Path) -> list[Picture]:
@@ -32,19 +32,14 @@ def draw(methods: Sequence[Series], folder: Path) -> list[Picture]:
         return []
     compared = [series for series in methods if np.isfinite(series.error_mm).any()]
     rms_mm = {line.method: line.rms_mm for line in summarise(methods)}
-    failures = len(states(methods, with_valid=False))
-    heights = [3.2] + [0.25 + 0.28 * failures] * bool(failures) + [1.25] * len(compared)
+    heights = [3.2] + [1.25] * len(compared)
     figure = new_figure(9.0, 0.6 + sum(heights) + 0.2 * len(heights))
     panels = figure.subplots(len(heights), 1, sharex=True, squeeze=False, gridspec_kw={"height_ratios": heights})[:, 0]
     _draw_openings(panels[0], methods)
-    if failures:
-        draw_states(panels[1], methods, with_valid=False)
-        panels[1].set_title("frames that are not valid, for each method", loc="left")
-    for axes, series in zip(panels[len(panels) - len(compared) :], compared, strict=True):
+    for axes, series in zip(panels[1:], compared, strict=True):
         _draw_error(axes, series, rms_mm[series.method])
     panels[-1].set_xlabel(TIME_LABEL)
-    end = max(series.time_s[-1] for series in methods)
-    panels[0].set_xlim((-0.01 * end, 1.01 * end) if end > 0 else (-0.5, 0.5))
+    panels[0].set_xlim(*time_range_s(max(series.time_s[-1] for series in methods)))
     return [save(figure, folder / NAME, _caption(methods, compared), _alt(methods, compared))]
 
 
@@ -104,10 +99,7 @@ def _caption(methods: Sequence[Series], compared: Sequence[Series]) -> str:
     )
     if compared:
         text += " Below, the error of each method on a scale of its own, over its stated band around zero."
-    size = frames_per_stroke(max(len(series.time_s) for series in methods))
-    if size > 1:
-        text += f" Each stroke spans the lowest to the highest value of {size} frames in succession."
-    return text
+    return text + stroke_words(max(len(series.time_s) for series in methods))
 
 
 def _alt(methods: Sequence[Series], compared: Sequence[Series]) -> str:

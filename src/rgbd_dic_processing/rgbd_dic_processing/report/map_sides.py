@@ -42,7 +42,18 @@ def sides_of(regions: Regions | None, field: DisplacementField) -> list[Side]:
 
 def _beyond(crack: CrackZones, field: DisplacementField, fixed: Mask) -> Mask:
     """(N,) subsets that lie wholly on the other side of the crack's line than most of the fixed region."""
+    distance_px, reach_px = _from_crack(crack, field)
+    away = -np.sign(np.median(distance_px[fixed]))
+    return distance_px * away > reach_px
+
+
+def on_crack(crack: CrackZones, field: DisplacementField) -> Mask:
+    """(N,) subsets that touch the crack's line."""
+    distance_px, reach_px = _from_crack(crack, field)
+    return np.abs(distance_px) <= reach_px
+
+
+def _from_crack(crack: CrackZones, field: DisplacementField) -> tuple[NDArray[np.float64], float]:
+    """How far the centres (N,) lie from the crack's line, and how far a subset reaches towards it."""
     normal = np.array([crack.direction[1], -crack.direction[0]])
-    distance = (field.centres_px - crack.point) @ normal
-    away = -np.sign(np.median(distance[fixed]))
-    return distance * away > field.subset_px / 2 * np.abs(normal).sum()
+    return (field.centres_px - crack.point) @ normal, field.subset_px / 2 * np.abs(normal).sum()

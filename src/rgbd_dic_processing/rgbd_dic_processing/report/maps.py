@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -21,6 +22,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 LABEL_WORDS = {"widest": "the widest opening", "last": "the last valid frame"}
+CHOSEN = re.compile(r"at_(.*)_s")  # labels of chosen moments
 NARROWEST_MM = 1e-4  # a colour range is not narrower, so that rounding does not look like displacement
 WIDTH_IN = 4.5  # of one map with its colour bar
 
@@ -47,10 +49,12 @@ def _distinct(
     for label, field in labelled.items():
         if has_openings or label != "widest" or len(labelled) == 1:
             labels_of.setdefault(field.stamp_ns, []).append(label)
-    return [
-        (labels[0], " and ".join(LABEL_WORDS.get(label, label) for label in labels), labelled[labels[0]])
-        for labels in labels_of.values()
-    ]
+    return [(labels[0], " and ".join(map(_words, labels)), labelled[labels[0]]) for labels in labels_of.values()]
+
+
+def _words(label: str) -> str:
+    chosen = CHOSEN.fullmatch(label)
+    return f"the frame nearest to {chosen[1]} s" if chosen else LABEL_WORDS.get(label, label)
 
 
 def _draw_field(run: Run, regions: Regions | None, field: DisplacementField, title: str, path: Path) -> Picture:

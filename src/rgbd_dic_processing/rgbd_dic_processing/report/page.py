@@ -4,38 +4,48 @@ from __future__ import annotations
 
 import base64
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePath
 from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
+from ..calibrating.summary import Row
 from ..core.settings import ProcessingSettings
+from ..core.status import FrameStatus
 from ..history.comparison import MethodComparison
 from ..history.zone_sensitivity import Misplacement
 from ..runs import Run
+from .budget import Budgets, rows_mm
 from .drawing import Picture
-from .series import Series
+from .series import STATUS_WORDS, Series
 from .summary import failures, summarise
 
 TEMPLATE = "page.html.j2"
+MOST_REASONS = 8  # that a table names
 
 
 def write(
     path: Path,
     run: Run,
     methods: Sequence[Series],
-    pictures: Sequence[Picture],
+    pictures: Mapping[str, Sequence[Picture]],
     has_truth: bool,
     beside: Sequence[MethodComparison] = (),
     misplaced: Mapping[str, Sequence[Misplacement]] | None = None,
     unplaced: Mapping[str, str] | None = None,
+    budgets: Budgets | None = None,
+    calibrated: Sequence[Row] = (),
 ) -> Path:
     """Write the page and return its path.
 
     Args:
+        pictures: section of the page -> its pictures.
         beside: the methods beside a reference.
         misplaced, unplaced: the zones' sensitivity by method, or why it is not known.
+        budgets: of the openings of each method.
+        calibrated: the numbers of the calibration.
     """
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent),
@@ -61,17 +71,27 @@ def write(
         beside=beside,
         misplaced={method: _slopes(found) for method, found in (misplaced or {}).items()},
         unplaced=unplaced or {},
-        pictures=[
-            {
-                "alt": picture.alt,
-                "caption": picture.caption,
-                "data": base64.b64encode(picture.path.read_bytes()).decode("ascii"),
-            }
-            for picture in pictures
-        ],
+        budget_methods=list(budgets or {}),
+        budget_rows=rows_mm(budgets) if budgets else [],
+        calibrated=calibrated,
+        planes=_planes(run),
+        pictures={section: [_embedded(picture) for picture in drawn] for section, drawn in pictures.items()},
     )
     path.write_text(text, encoding="utf-8")
     return path
+
+
+def _embedded(picture: Picture) -> dict[str, str]:
+    data = base64.b64encode(picture.path.read_bytes()).decode("ascii")
+    return {"alt": picture.alt, "caption": picture.caption, "data": data}
+
+
+def _planes(run: Run) -> dict[str, Any]:
+    """How many ToF frames there were, and, of those without a plane, how many have which reason."""
+    planes = run.frames.planes
+    reasons = Counter((plane.status, plane.reason) for plane in planes if plane.status != FrameStatus.OK)
+    without = [(STATUS_WORDS[status], reason, count) for (status, reason), count in reasons.most_common(MOST_REASONS)]
+    return {"frames": len(planes), "with_plane": len(planes) - reasons.total(), "without": without}
 
 
 def _extent(methods: Sequence[Series]) -> dict[str, Any]:

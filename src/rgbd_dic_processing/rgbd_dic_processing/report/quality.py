@@ -1,96 +1,102 @@
-"""quality.png: what each frame rests on: validity, ToF pairing, uncertainty, subsets, latency."""
+"""quality.png: how well each image was measured: correlation, subsets, fixed region, uncertainty, latency."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
-from .drawing import (
-    ORANGE,
-    SKY,
-    Picture,
-    frames_per_stroke,
-    line_of,
-    new_figure,
-    plot_values,
-    save,
-)
-from .frame_states import draw_states, states
-from .history import TIME_LABEL
+from ..runs import Run
+from .drawing import BLUE, ORANGE, SKY, Picture, line_of, plot_values, save, time_range_s
+from .frames import Frames
+from .panels import Panel, stack, stroke_words
 from .series import Series
 
 NAME = "quality.png"
+FLOOR = 1e-2  # of the median: smaller uncertainties, that of the reference's own row, are not drawn on a logarithm
 
 
-def draw(methods: Sequence[Series], folder: Path) -> list[Picture]:
-    """Write the figure; nothing if the run has no openings."""
-    if not methods:
-        return []
-    panels: list[tuple[float, str, Callable[[Axes, Sequence[Series]], None]]] = [
-        (
-            0.25 + 0.28 * len(states(methods, with_valid=True)),
-            "frames by state, for each method",
-            _draw_states,
-        )
-    ]
-    if _any_known(methods, "offset_ms"):
-        panels.append((1.4, "stamp of the image less that of its ToF frame (negative: ToF later)", _draw_offset))
+def draw(run: Run, methods: Sequence[Series], folder: Path) -> list[Picture]:
+    """Write the figure; nothing if the run has neither images nor openings."""
+    frames = Frames(run)
+    panels: list[Panel] = []
+    if len(frames.image_s):
+        panels += [
+            Panel(1.4, "correlation of the subsets that were found (ZNCC)", lambda axes: _draw_zncc(axes, frames)),
+            Panel(1.1, "share of the reference's subsets that were found", lambda axes: _draw_found(axes, frames)),
+        ]
+    if run.frames.budgets:
+        title = "residual of the fixed region after the motion was removed, RMS"
+        panels.append(Panel(1.4, title, lambda axes: _draw_residuals(axes, run, frames)))
     if _any_known(methods, "u_mm"):
-        panels.append((1.6, "standard uncertainty of the opening (k = 1), as stated", _draw_uncertainty))
-        panels.append((1.4, "subsets used in each measuring zone", _draw_subsets))
+        title = "standard uncertainty of the opening (k = 1), as stated"
+        panels.append(Panel(1.6, title, lambda axes: _draw_uncertainty(axes, methods)))
+        panels.append(Panel(1.1, "subsets used in each measuring zone", lambda axes: _draw_subsets(axes, methods)))
     if _any_known(methods, "latency_ms"):
-        panels.append((1.4, "latency: from the arrival of the image to its opening", _draw_latency))
-    figure = new_figure(9.0, 1.0 + sum(height for height, _, _ in panels) + 0.25 * len(panels))
-    all_axes = figure.subplots(
-        len(panels), 1, sharex=True, squeeze=False, gridspec_kw={"height_ratios": [p[0] for p in panels]}
-    )[:, 0]
-    for axes, (_, title, draw_panel) in zip(all_axes, panels, strict=True):
-        axes.set_title(title, loc="left")
-        draw_panel(axes, methods)
-    all_axes[-1].set_xlabel(TIME_LABEL)
-    end = max(series.time_s[-1] for series in methods)
-    all_axes[0].set_xlim((-0.01 * end, 1.01 * end) if end > 0 else (-0.5, 0.5))
-    handles = [all_axes[0].plot([], [], label=series.method, **line_of(series.method))[0] for series in methods]
-    figure.legend(handles=handles, loc="outside upper center", ncols=len(methods))
-    caption = "What the measurement of each frame rests on."
-    size = frames_per_stroke(max(len(series.time_s) for series in methods))
-    if size > 1:
-        caption += f" Each stroke spans the lowest to the highest value of {size} frames in succession."
-    titles = "; ".join(title for _, title, _ in panels)
+        title = "latency: from the arrival of the image to its opening"
+        panels.append(Panel(1.4, title, lambda axes: _draw_latency(axes, methods)))
+    if not panels:
+        return []
+    figure = stack(panels, time_range_s(frames.end_s))
+    if methods:
+        handles = [figure.axes[0].plot([], [], label=series.method, **line_of(series.method))[0] for series in methods]
+        figure.legend(handles=handles, loc="outside upper center", ncols=len(methods))
+    caption = "How well each image was measured." + stroke_words(max(len(frames.image_s), *map(_length, methods), 0))
+    titles = "; ".join(panel.title for panel in panels)
     return [save(figure, folder / NAME, caption, f"Quality of the measurement over time: {titles}.")]
+
+
+def _length(series: Series) -> int:
+    return len(series.time_s)
 
 
 def _any_known(methods: Sequence[Series], name: str) -> bool:
     return any(np.isfinite(getattr(series, name)).any() for series in methods)
 
 
-def _draw_states(axes: Axes, methods: Sequence[Series]) -> None:
-    draw_states(axes, methods, with_valid=True)
+def _draw_zncc(axes: Axes, frames: Frames) -> None:
+    plot_values(axes, frames.image_s, frames.of_images("zncc_median"), "median", color=BLUE, linewidth=1.2)
+    low = {"color": ORANGE, "linestyle": "--", "linewidth": 1.2}
+    plot_values(axes, frames.image_s, frames.of_images("zncc_low"), "5th percentile", **low)
+    axes.set_ylabel("ZNCC")
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
 
 
-def _draw_offset(axes: Axes, methods: Sequence[Series]) -> None:
-    """The pairing is made once for all methods; one that waits longer for its frame knows no less."""
-    longest = max(methods, key=lambda series: np.isfinite(series.offset_ms).sum())
-    plot_values(axes, longest.time_s, longest.offset_ms, color="0.25", linewidth=0.8)
-    axes.axhline(0.0, color="0.6", linewidth=0.6, zorder=0)
-    axes.set_ylabel("offset [ms]")
+def _draw_found(axes: Axes, frames: Frames) -> None:
+    subsets = frames.of_images("subsets")
+    share = np.divide(frames.of_images("found"), subsets, out=np.full(len(subsets), np.nan), where=subsets > 0)
+    plot_values(axes, frames.image_s, 100 * share, color="0.25", linewidth=1.0)
+    axes.set_ylim(0, 105)
+    axes.set_ylabel("found [%]")
+
+
+def _draw_residuals(axes: Axes, run: Run, frames: Frames) -> None:
+    for method in dict.fromkeys(budget.method for budget in run.frames.budgets):
+        mine = sorted((b for b in run.frames.budgets if b.method == method), key=lambda budget: budget.stamp_ns)
+        stamps = np.array([budget.stamp_ns for budget in mine])
+        residual = np.array([budget.residual_px for budget in mine])
+        plot_values(axes, (stamps - frames.start_ns) * 1e-9, residual, **line_of(method))
+    axes.set_ylim(bottom=0)
+    axes.set_ylabel("residual [px]")
 
 
 def _draw_uncertainty(axes: Axes, methods: Sequence[Series]) -> None:
-    """On a logarithmic scale where the methods lie far apart; zero, which the reference has, is left out."""
+    """On a logarithmic scale where the methods lie far apart; what is next to nothing, as at the reference, is left
+    out there."""
     typical = []
     for series in methods:
-        u = np.where(series.u_mm > 0, series.u_mm, np.nan)
+        if np.isfinite(series.u_mm).any():
+            typical.append(np.nanmedian(series.u_mm))
+    logarithmic = len(typical) > 1 and max(typical) > 5 * min(typical) > 0
+    for series in methods:
+        u = np.where(series.u_mm > (FLOOR * min(typical) if logarithmic else 0), series.u_mm, np.nan)
         plot_values(axes, series.time_s, u, **line_of(series.method))
-        if np.isfinite(u).any():
-            typical.append(np.nanmedian(u))
-    if len(typical) > 1 and max(typical) > 5 * min(typical):
+    if logarithmic:
         axes.set_yscale("log")
-        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
         axes.yaxis.set_major_formatter(FormatStrFormatter("%g"))
         axes.yaxis.set_minor_formatter(NullFormatter())
     else:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..core.spells import spells_of
 from ..core.status import FrameStatus
 from ..results import Comparison
 from .series import STATUS_WORDS, Series
@@ -36,12 +37,17 @@ class MethodSummary:
 
 @dataclass(frozen=True)
 class Failure:
-    """Frames of one method that share a status; `example` is the commonest reason given."""
+    """Frames of one method that share a status; `example` is the commonest reason given.
+
+    longest_s: the longest time that it lasted in one piece.
+    """
 
     method: str
     words: str
     count: int
     first_s: float
+    last_s: float
+    longest_s: float
     example: str
 
 
@@ -54,13 +60,16 @@ def failures(methods: Sequence[Series]) -> list[Failure]:
     """Each status other than valid of each method, the most frequent first."""
     found = []
     for series in methods:
+        spells = spells_of(series.time_s, series.status)
         for status in sorted(set(series.status.tolist()) - {int(FrameStatus.OK)}):
             where = np.flatnonzero(series.status == status)
             reasons = Counter(series.openings[i].reason for i in where)
             kinds = len(reasons)
             example = reasons.most_common(1)[0][0] + (f" (and {kinds - 1} like it)" if kinds > 1 else "")
             words = STATUS_WORDS.get(FrameStatus(status), FrameStatus(status).name)
-            found.append(Failure(series.method, words, len(where), float(series.time_s[where[0]]), example))
+            longest_s = max(spell.end_s - spell.begin_s for spell in spells if spell.state == status)
+            first_s, last_s = (float(series.time_s[i]) for i in where[[0, -1]])
+            found.append(Failure(series.method, words, len(where), first_s, last_s, longest_s, example))
         found.sort(key=lambda failure: -failure.count)
     return found
 

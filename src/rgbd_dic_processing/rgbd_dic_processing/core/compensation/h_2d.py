@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rgbd_dic_acquisition.errors import MeasurementError
 
+from ..error_sources import ErrorSource
 from ..geometry import apply_homography
 from ..homography import fit_homography, target_jacobian
 from ..msac import msac
@@ -39,7 +40,8 @@ def compensate(view: FrameView, settings: CompensationSettings) -> Compensation:
     motion = HomographyMotion(homography)
     misfit_px = misfit_of(view.moved_px[used] - motion.move(view.reference_px[used]), view.sigma_px[used])
     modes, coupling = _modes(homography, view, used, misfit_px)
-    return Compensation(motion, modes, coupling, reprojection_rms(motion, view, used), misfit_px)
+    sources = (ErrorSource.MOTION,) * len(modes)
+    return Compensation(motion, modes, sources, coupling, reprojection_rms(motion, view, used), misfit_px)
 
 
 def _modes(

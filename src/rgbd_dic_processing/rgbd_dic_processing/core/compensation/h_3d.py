@@ -21,4 +21,4 @@ def compensate(view: FrameView, settings: CompensationSettings) -> Compensation:
     fit = fit_rigid(view, settings)
     motion = induced(fit.pose, view.reference_plane)
     modes = tuple(induced(pose, reference_plane) for pose, reference_plane, _ in fit.modes)
-    return Compensation(motion, modes, fit.coupling, reprojection_rms(motion, view, fit.used))
+    return Compensation(motion, modes, fit.sources, fit.coupling, reprojection_rms(motion, view, fit.used))

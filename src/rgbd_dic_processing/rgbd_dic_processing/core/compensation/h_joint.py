@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from rgbd_dic_acquisition.errors import MeasurementError
 
 from ..deformation import DeformationBasis
+from ..error_sources import ErrorSource
 from ..geometry import Plane, plane_homography, pose_from_homography
 from ..panel_surface import ShapeEvidence, Surface
 from ..settings import CompensationSettings
@@ -83,9 +84,11 @@ def compensate(view: FrameView, settings: CompensationSettings) -> Compensation:
 
     moved = POSE + PLANE
     dic_modes, coupling = linear_modes(fit.gain[:moved], sigma_px, view.correlation, used)
-    steps = [*dic_modes, *independent_modes(fit.confounded[:moved, :moved])]
-    modes = tuple(motion(step) for step in steps)
-    return Compensation(motion(np.zeros(moved)), modes, coupling, residual_px, fit.misfit_px, fit.shape, fit.pose)
+    confounded = independent_modes(fit.confounded[:moved, :moved])
+    modes = tuple(motion(step) for step in (*dic_modes, *confounded))
+    sources = (ErrorSource.MOTION,) * len(dic_modes) + (ErrorSource.DEFORMATION,) * len(confounded)
+    best = motion(np.zeros(moved))
+    return Compensation(best, modes, sources, coupling, residual_px, fit.misfit_px, fit.shape, fit.pose)
 
 
 def pose_beside_deformation(view: FrameView, settings: CompensationSettings) -> Pose | None:

@@ -12,6 +12,7 @@ from rgbd_dic_acquisition.calibration import Camera
 from rgbd_dic_acquisition.errors import MeasurementError
 from scipy.spatial.transform import Rotation
 
+from ..error_sources import ErrorSource
 from ..geometry import Plane, plane_homography, pose_from_homography, skew
 from ..settings import CompensationSettings
 from ..uncertainty import independent_modes, linear_modes
@@ -51,7 +52,8 @@ def compensate(view: FrameView, settings: CompensationSettings) -> Compensation:
         plane = Plane.from_inverse_depth(view.reference_plane.inverse_depth + mode)
         poses.append((fit_pose(*data, plane, pose, settings.robust_sigmas)[0], plane))
     modes = tuple(HomographyMotion(plane_homography(view.camera, *moved, plane)) for moved, plane in poses)
-    return Compensation(motion, modes, coupling, residual_px, misfit_px)
+    sources = [ErrorSource.MOTION] * len(dic_modes) + [ErrorSource.REFERENCE_PLANE] * (len(modes) - len(dic_modes))
+    return Compensation(motion, modes, tuple(sources), coupling, residual_px, misfit_px)
 
 
 def fit_pose(

@@ -11,6 +11,7 @@ from rgbd_dic_acquisition.calibration import Camera
 from scipy.optimize import brentq
 from scipy.sparse import csr_matrix
 
+from ..error_sources import ErrorSource
 from ..geometry import Plane, apply_homography
 from ..realignment import Realignment
 
@@ -126,6 +127,7 @@ class Compensation:
 
     modes: the motion again, once for each independent error of one standard deviation; whatever is computed from
         `motion` has the variance sum (f(mode) - f(motion))^2 from the compensation.
+    sources: what causes each of these errors; the first ones, as many as `coupling` has, are MOTION.
     coupling: (k, N, 2), covariance of the first k modes' unit errors with the errors of the subsets' moved_px: these
         modes come from the DIC's noise. The other modes, from the planes, have none.
     residual_px: RMS of the reprojection error of the fixed region's subsets that agree with the motion.
@@ -137,6 +139,7 @@ class Compensation:
 
     motion: Motion
     modes: tuple[Motion, ...]
+    sources: tuple[ErrorSource, ...]
     coupling: Array
     residual_px: float
     misfit_px: float = 0.0

@@ -21,4 +21,4 @@ def compensate(view: FrameView, settings: CompensationSettings) -> Compensation:
     fit = fit_rigid(view, settings)
     motion = rigid(fit.pose, view.reference_plane, view.plane)
     modes = tuple(rigid(*mode) for mode in fit.modes)
-    return Compensation(motion, modes, fit.coupling, reprojection_rms(motion, view, fit.used))
+    return Compensation(motion, modes, fit.sources, fit.coupling, reprojection_rms(motion, view, fit.used))

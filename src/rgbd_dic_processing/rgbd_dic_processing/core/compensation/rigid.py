@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from rgbd_dic_acquisition.errors import MeasurementError
 from scipy.spatial.transform import Rotation
 
+from ..error_sources import ErrorSource
 from ..geometry import Plane, rigid_transform, skew
 from ..msac import msac
 from ..settings import CompensationSettings
@@ -25,13 +26,15 @@ class RigidFit:
     """R, t of X' = R X + t; the subsets used; and the fit again for each independent error.
 
     Each of `modes` is (pose, reference plane, plane) with one error of one standard deviation: of the DIC centres, of
-    the reference's plane, of this frame's plane, and of what a deformation of the fixed region does to the pose.
+    the reference's plane, of this frame's plane, and of what a deformation of the fixed region does to the pose;
+    `sources` tells which.
     `coupling` is that of `Compensation`.
     """
 
     pose: Pose
     used: NDArray[np.intp]
     modes: tuple[tuple[Pose, Plane, Plane], ...]
+    sources: tuple[ErrorSource, ...]
     coupling: Array
 
 
@@ -61,22 +64,28 @@ def fit_rigid(view: FrameView, settings: CompensationSettings) -> RigidFit:
             f"rigid fit: {inliers.sum()} subsets of the fixed region agree, at least {settings.min_subsets} needed"
         )
     used = view.fixed[inliers]
-    modes, coupling = _modes(view, pose, used)
+    modes, sources, coupling = _modes(view, pose, used)
     likely = pose_beside_deformation(view, settings)
     if likely is not None:
-        modes += ((likely, view.reference_plane, view.reference_plane.moved(*likely)),)
-    return RigidFit(pose, used, modes, coupling)
+        modes.append((likely, view.reference_plane, view.reference_plane.moved(*likely)))
+        sources.append(ErrorSource.DEFORMATION)
+    return RigidFit(pose, used, tuple(modes), tuple(sources), coupling)
 
 
-def _modes(view: FrameView, pose: Pose, used: NDArray[np.intp]) -> tuple[tuple[tuple[Pose, Plane, Plane], ...], Array]:
+def _modes(
+    view: FrameView, pose: Pose, used: NDArray[np.intp]
+) -> tuple[list[tuple[Pose, Plane, Plane]], list[ErrorSource], Array]:
     centre_modes, coupling = _centre_modes(view, pose, used)
     modes = [(moved, view.reference_plane, view.plane) for moved in centre_modes]
+    sources = [ErrorSource.MOTION] * len(modes)
     for plane in _plane_modes(view.reference_plane):
         seen = view.with_reference_plane(plane)
         modes.append((_refit(seen, used), plane, seen.plane))
+        sources.append(ErrorSource.REFERENCE_PLANE)
     for plane in _plane_modes(view.plane):
         modes.append((_refit(replace(view, plane=plane), used), view.reference_plane, plane))
-    return tuple(modes), coupling
+        sources.append(ErrorSource.FRAME_PLANE)
+    return modes, sources, coupling
 
 
 def _refit(view: FrameView, used: NDArray[np.intp]) -> Pose:
