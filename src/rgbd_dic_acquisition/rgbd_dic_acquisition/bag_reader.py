@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+import re
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -12,9 +13,9 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
 from .errors import BagError
+from .mcap_end import MAGIC
 from .message_types import typestore
 
-MAGIC = b"\x89MCAP0\r\n"
 CHUNKS_OVERLAP_S = 2.0  # threads of a recorder write messages that late after one another
 
 
@@ -138,18 +139,28 @@ class BagReader:
         self.close()
 
 
+def mcap_files(path: Path) -> list[Path]:
+    """The files of a bag, a directory or one .mcap file, in the order of the numbers in their names.
+
+    Raises:
+        BagError: there are none.
+    """
+    files = [path] if path.is_file() else [file for file in path.glob("*.mcap") if file.is_file()]
+    if not files:
+        raise BagError(f"{path} holds no .mcap file: give the directory of a bag, or the .mcap file itself")
+    return sorted(files, key=lambda file: [(len(part), part) for part in re.split(r"(\d+)", file.name)])
+
+
 def _bag_at(path: Path) -> Path:
     """What the reader shall open: the directory, or the file; checked so far that the errors can be plain."""
     if not path.exists():
         raise BagError(f"there is no bag {path}: check the path")
-    if path.is_file():
-        _check_mcap(path)
-        return path
-    files = sorted(path.glob("*.mcap"))
-    if not files:
-        raise BagError(f"{path} holds no .mcap file: give the directory of a bag, or the .mcap file itself")
+    files = mcap_files(path)
     for file in files:
         _check_mcap(file)
+    _check_order(files)
+    if path.is_file():
+        return path
     if (path / "metadata.yaml").exists():
         return path
     if len(files) > 1:
@@ -174,19 +185,21 @@ def _check_mcap(path: Path) -> None:
             f"{path} is cut short (no footer): the recording was not closed. Make a new bag of what is there with "
             "`rgbd-dic info --repair`"
         )
-    _check_order(path)
     if path.suffix != ".mcap":
         raise BagError(f"{path}: the name of an MCAP file must end in .mcap; rename it")
 
 
-def _check_order(path: Path) -> None:
-    """Refuse a file that cannot be read in the order of its recording, because its log times do not tell it."""
-    with path.open("rb") as file:
-        try:
-            index = sorted(make_reader(file).get_summary().chunk_indexes, key=lambda chunk: chunk.chunk_start_offset)
-        except Exception:  # damaged bytes raise almost anything; who opens it to read will say so
-            return
-    for before, after in pairwise(index):
+def _check_order(files: Sequence[Path]) -> None:
+    """Refuse a bag that cannot be read in the order of its recording, because its log times do not tell it."""
+    index = []
+    for path in files:
+        with path.open("rb") as file:
+            try:
+                chunks = make_reader(file).get_summary().chunk_indexes
+            except Exception:  # damaged bytes raise almost anything; who opens it to read will say so
+                return
+        index += [(path, chunk) for chunk in sorted(chunks, key=lambda chunk: chunk.chunk_start_offset)]
+    for (_, before), (path, after) in pairwise(index):
         back_s = (before.message_end_time - after.message_start_time) * 1e-9
         if back_s > CHUNKS_OVERLAP_S:
             raise BagError(

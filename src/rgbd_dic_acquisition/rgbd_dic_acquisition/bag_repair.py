@@ -6,7 +6,6 @@ What is whole is written into a new bag with index and metadata.yaml; the old on
 from __future__ import annotations
 
 import os
-import re
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +16,7 @@ from mcap.writer import CompressionType, Writer
 
 from . import bag_metadata
 from .bag_metadata import Topic
-from .bag_reader import BagReader
+from .bag_reader import BagReader, mcap_files
 from .bag_writer import CHUNK_BYTES
 from .errors import BagError
 from .mcap_salvage import SalvagedFile
@@ -53,7 +52,7 @@ def repair_bag(path: Path, output: Path | None = None) -> Repair:
     Raises:
         BagError: there is no bag, nothing in it is whole, `output` exists, or the disk refuses.
     """
-    files = [SalvagedFile(file) for file in _mcap_files(path)]
+    files = [SalvagedFile(file) for file in mcap_files(path)]
     topics: dict[str, Topic] = {}
     for file in files:
         _count(file, topics)
@@ -73,14 +72,6 @@ def repair_bag(path: Path, output: Path | None = None) -> Repair:
             f"cannot write the repaired bag {output}: {error.strerror}. Choose another disk with --out"
         ) from error
     return Repair(output, messages, sum(f.damaged_chunks for f in files), sum(f.lost_bytes for f in files))
-
-
-def _mcap_files(path: Path) -> list[Path]:
-    """In the order of the numbers in their names."""
-    files = [path] if path.is_file() else [file for file in path.glob("*.mcap") if file.is_file()]
-    if not files:
-        raise BagError(f"{path} is no .mcap file and holds none: give the directory of a bag, or the .mcap file itself")
-    return sorted(files, key=lambda file: [(len(part), part) for part in re.split(r"(\d+)", file.name)])
 
 
 def _opens(path: Path) -> bool:

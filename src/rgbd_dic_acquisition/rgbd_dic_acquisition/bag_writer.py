@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import os
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
 import yaml
-from mcap.writer import CompressionType, Writer
 
 from . import bag_metadata
 from .bag_metadata import Span, Topic
 from .errors import BagError
+from .mcap_file import CHUNK_BYTES, McapFile
 from .message_types import definition, serialise
 
-CHUNK_BYTES = 1024 * 1024  # what a crash loses at most
-_COMPRESSIONS = {"none": CompressionType.NONE, "zstd": CompressionType.ZSTD}
+__all__ = ["CHUNK_BYTES", "BagWriter"]
+_COMPRESSIONS = {"none": "", "zstd": "zstd"}
 _FOREVER = {"sec": 9223372036, "nsec": 854775807}
 
 
@@ -33,33 +35,53 @@ def _offered_qos(transient_local: bool, reliable: bool) -> dict[str, Any]:
 
 
 class BagWriter:
-    """Writes one bag: the directory `path` with `<name>_0.mcap` and, when closed, `metadata.yaml`.
+    """Writes one bag: a directory with `<name>_0.mcap`, `<name>_1.mcap`, ... and, when it is closed, `metadata.yaml`.
 
-    Not for use by several threads at a time. Use it as a context manager, so that it is closed in any case:
-    until then a reader finds no index.
+    Not for use by several threads at a time, `sync` apart. Use it as a context manager, so that it is closed in any
+    case: until then a reader finds no index.
+
+    Args:
+        compression: none or zstd.
+        split_bytes: a file that has reached this size is closed, and the next one is begun; 0 makes one file.
+        durable: have each file on the disk, and not just in the kernel's memory, when it is closed.
 
     Raises:
         BagError: the path exists, cannot be made, or `compression` is not none or zstd.
     """
 
-    def __init__(self, path: Path | str, compression: str = "none") -> None:
+    def __init__(
+        self, path: Path | str, compression: str = "none", split_bytes: int = 0, durable: bool = False
+    ) -> None:
         self.path = Path(path)
         if compression not in _COMPRESSIONS:
             raise BagError(f"compression '{compression}': choose one of {', '.join(_COMPRESSIONS)}")
         if self.path.exists():
             raise BagError(f"{self.path} exists already: choose another name, or remove it first")
-        try:
-            self.path.mkdir(parents=True)
-            self._file = (self.path / f"{self.path.name}_0.mcap").open("wb")
-        except OSError as error:
-            raise BagError(f"cannot make the bag {self.path}: {error.strerror}") from error
-        self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=_COMPRESSIONS[compression])
-        self._writer.start(profile="ros2", library="rgbd_dic")
-        self._schemas: dict[str, int] = {}
+        self._compression, self._split_bytes, self._durable = _COMPRESSIONS[compression], split_bytes, durable
+        self._definitions: dict[str, bytes] = {}
         self._channels: dict[str, int] = {}
         self._topics: dict[str, Topic] = {}
-        self._span = Span()
-        self.counts: dict[str, int] = {}
+        self._sequence: Counter[str] = Counter()
+        self._spans: dict[str, Span] = {}  # of the files that are closed; below their messages and their size
+        self._counts: Counter[str] = Counter()
+        self._size = 0
+        self._finished = False
+        try:
+            self.path.mkdir(parents=True)
+            self._file = self._next_file()
+        except OSError as error:
+            raise BagError(f"cannot make the bag {self.path}: {error.strerror}") from error
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Topic -> messages of it in finished chunks; all of them once the bag is closed."""
+        open_file = {} if self._file.closed else self._counts_of(self._file)
+        return {name: self._counts[name] + open_file.get(name, 0) for name in self._topics}
+
+    @property
+    def size(self) -> int:
+        """Of all files so far [bytes]."""
+        return self._size + (0 if self._file.closed else self._file.size)
 
     def add_topic(self, name: str, typename: str, transient_local: bool = False, reliable: bool = True) -> None:
         """Announce a topic, such as /imu/data of sensor_msgs/msg/Imu. A second time does nothing.
@@ -72,16 +94,10 @@ class BagWriter:
                 raise BagError(f"topic {name} is {self._topics[name].type} already, not {typename}")
             return
         text, type_hash = definition(typename)
-        if typename not in self._schemas:
-            self._schemas[typename] = self._writer.register_schema(typename, "ros2msg", text.encode())
-        qos = [_offered_qos(transient_local, reliable)]
-        channel_metadata = {
-            "offered_qos_profiles": yaml.safe_dump(qos, sort_keys=False),
-            "topic_type_hash": type_hash,
-        }
-        self._channels[name] = self._writer.register_channel(name, "cdr", self._schemas[typename], channel_metadata)
-        self._topics[name] = Topic(name, typename, type_hash, qos)
-        self.counts[name] = 0
+        self._definitions[typename] = text.encode()
+        topic = Topic(name, typename, type_hash, [_offered_qos(transient_local, reliable)])
+        self._announce(self._file, topic)
+        self._topics[name] = topic
 
     def write(self, topic: str, log_time_ns: int, serialized: bytes, publish_time_ns: int | None = None) -> None:
         """Write one message, CDR bytes as they come from ROS. `log_time_ns` is when it was received.
@@ -97,28 +113,59 @@ class BagWriter:
             raise BagError(f"log time {log_time_ns} ns of a message on {topic}: must be 0 or later")
         publish_time_ns = log_time_ns if publish_time_ns is None else publish_time_ns
         try:
-            self._writer.add_message(
-                self._channels[topic], log_time_ns, serialized, publish_time_ns, self.counts[topic]
-            )
+            if 0 < self._split_bytes <= self._file.size:
+                self._close_file()
+                self._file = self._next_file()
+            self._file.write(self._channels[topic], log_time_ns, publish_time_ns, self._sequence[topic], serialized)
         except OSError as error:
             raise BagError(f"cannot write to the bag {self.path}: {error.strerror}") from error
-        self.counts[topic] += 1
-        self._span.add(log_time_ns)
+        self._sequence[topic] += 1
 
     def write_message(self, topic: str, log_time_ns: int, message: Any, publish_time_ns: int | None = None) -> None:
         """Serialise a message made by `make_message` and write it."""
         self.write(topic, log_time_ns, serialise(message), publish_time_ns)
 
-    def close(self) -> None:
-        """Write index and metadata. A second time does nothing."""
-        if self._file.closed:
-            return
-        information = self._information()
+    def flush(self) -> None:
+        """Hand all messages to the kernel, so that the end of this process does not take them along.
+
+        Raises:
+            BagError: the disk refuses. What was not handed over yet is lost.
+        """
         try:
-            self._writer.add_metadata("rosbag2", {"serialized_metadata": yaml.safe_dump(information, sort_keys=False)})
-            self._writer.finish()
-            self._file.close()
-            bag_metadata.write(self.path, information)
+            self._file.flush()
+        except OSError as error:
+            raise BagError(f"cannot write to the bag {self.path}: {error.strerror}") from error
+
+    def sync(self) -> None:
+        """Wait until all that was handed to the kernel is on the disk. For another thread than the one that writes.
+
+        Raises:
+            BagError: the disk refuses, now or some time before.
+        """
+        try:
+            descriptor = self._file.duplicate()
+        except OSError:  # closed in this moment, and `durable` then takes care
+            return
+        try:
+            os.fdatasync(descriptor)
+        except OSError as error:
+            raise BagError(f"cannot write to the bag {self.path}: {error.strerror}") from error
+        finally:
+            os.close(descriptor)
+
+    def close(self) -> None:
+        """Write index and metadata. A second time does nothing.
+
+        Raises:
+            BagError: the disk refuses. What is in the bag can be repaired.
+        """
+        if self._finished:
+            return
+        self._finished = True
+        try:
+            if not self._file.closed:
+                self._close_file()
+            bag_metadata.write(self.path, self._information(self._spans, self._counts))
         except OSError as error:
             raise BagError(f"cannot finish the bag {self.path}: {error.strerror}") from error
 
@@ -128,7 +175,38 @@ class BagWriter:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _information(self) -> dict[str, Any]:
+    def _next_file(self) -> McapFile:
+        file = McapFile(self.path / f"{self.path.name}_{len(self._spans)}.mcap", self._compression)
+        for topic in self._topics.values():
+            self._announce(file, topic)
+        return file
+
+    def _announce(self, file: McapFile, topic: Topic) -> None:
+        metadata = {
+            "offered_qos_profiles": yaml.safe_dump(topic.offered_qos, sort_keys=False),
+            "topic_type_hash": topic.type_hash,
+        }
+        self._channels[topic.name] = file.add_channel(topic.name, topic.type, self._definitions[topic.type], metadata)
+
+    def _close_file(self) -> None:
+        file = self._file
+        try:
+            file.close("rosbag2", lambda: self._described(file), self._durable)
+        finally:
+            self._spans[file.path.name] = file.span
+            self._counts.update(self._counts_of(file))
+            self._size += file.size
+
+    def _described(self, file: McapFile) -> dict[str, str]:
+        """What rosbag2 wants to find in a file about it."""
+        information = self._information({file.path.name: file.span}, self._counts_of(file))
+        return {"serialized_metadata": yaml.safe_dump(information, sort_keys=False)}
+
+    def _counts_of(self, file: McapFile) -> dict[str, int]:
+        counts = file.counts
+        return {name: counts[number] for name, number in self._channels.items()}
+
+    def _information(self, files: dict[str, Span], counts: dict[str, int]) -> dict[str, Any]:
         for name, topic in self._topics.items():
-            topic.count = self.counts[name]
-        return bag_metadata.information({Path(self._file.name).name: self._span}, list(self._topics.values()))
+            topic.count = counts.get(name, 0)
+        return bag_metadata.information(files, list(self._topics.values()))

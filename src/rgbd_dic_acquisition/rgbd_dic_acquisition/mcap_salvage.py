@@ -21,7 +21,7 @@ from mcap.records import Channel, Chunk, McapRecord, Message, Schema
 from mcap.stream_reader import breakup_chunk, get_chunk_data_stream
 
 from .bag_metadata import Span
-from .bag_reader import MAGIC
+from .mcap_end import MAGIC
 
 LARGEST_CHUNK_BYTES = 1 << 30  # what a damaged file may promise before it is disbelieved
 _HEAD = struct.Struct("<BQ")  # opcode and length of every record

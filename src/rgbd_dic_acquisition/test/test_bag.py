@@ -8,8 +8,10 @@ import pytest
 import yaml
 from mcap.reader import make_reader
 from rgbd_dic_acquisition.bag import BagReader, BagWriter, make_message
+from rgbd_dic_acquisition.bag_repair import repair_bag
 from rgbd_dic_acquisition.errors import BagError
 from rgbd_dic_acquisition.message_types import definition
+from rgbd_dic_acquisition.offered_qos import latched_topics
 from rosbags.rosbag2 import Reader
 
 from rgbd_dic_acquisition import messages
@@ -17,9 +19,9 @@ from rgbd_dic_acquisition import messages
 IMAGE, OPENING = messages.IMAGE, "rgbd_dic_msgs/msg/CrackOpening"
 
 
-def write_sample(path, compression="none", count=30):
-    """Images of 100 kB, so that there is more than one chunk, and truth; log times not in order."""
-    with BagWriter(path, compression) as bag:
+def write_sample(path, compression="none", count=30, split_bytes=0, truth_late_ns=-500):
+    """Images of 100 kB, so that there is more than one chunk, and truth; log times not in order, unless it is late."""
+    with BagWriter(path, compression, split_bytes) as bag:
         bag.add_topic("/camera/image_raw", IMAGE, reliable=False)
         bag.add_topic("/crack_opening_truth", OPENING)
         bag.add_topic("/tf_static", messages.TF, transient_local=True)
@@ -27,7 +29,9 @@ def write_sample(path, compression="none", count=30):
             pixels = np.full((250, 400), k, np.uint8)
             image = messages.image_message(make_message, 1000 * k, "camera", pixels, "mono8")
             bag.write_message("/camera/image_raw", 1000 * k + 500, image)
-            bag.write_message("/crack_opening_truth", 1000 * k, make_message(OPENING, opening=float(k)))
+            bag.write_message(
+                "/crack_opening_truth", 1000 * k + 500 + truth_late_ns, make_message(OPENING, opening=float(k))
+            )
     return bag
 
 
@@ -97,6 +101,75 @@ def test_file_is_what_ros2_bag_play_accepts(bag_path):
         durability = "transient_local" if channel.topic == "/tf_static" else "volatile"
         reliability = "best_effort" if channel.topic == "/camera/image_raw" else "reliable"
         assert (qos["durability"], qos["reliability"]) == (durability, reliability)
+
+
+@pytest.mark.parametrize("compression", ["none", "zstd"])
+def test_a_bag_of_several_files(tmp_path, compression):
+    """As `ros2 bag record --max-bag-size` makes it: read as one bag by us and by rosbags, each file alone by mcap."""
+    whole, path = tmp_path / "whole", tmp_path / "flight"
+    write_sample(whole, compression, truth_late_ns=250)
+    written = write_sample(path, compression, split_bytes=700_000, truth_late_ns=250)
+    with BagReader(whole) as one, BagReader(path) as several:
+        sent = list(one.raw_messages())
+        assert list(several.raw_messages()) == sent
+        assert several.topics == one.topics
+        assert (several.start_ns, several.end_ns) == (one.start_ns, one.end_ns)
+    with Reader(path) as reader:
+        by_rosbags = [(c.topic, c.msgtype, time, bytes(data)) for c, time, data in reader.messages(reader.connections)]
+        assert reader.message_count == 60 and reader.duration == 29250 + 1
+        counts = {name: topic.msgcount for name, topic in reader.topics.items()}
+    assert by_rosbags == sent
+    assert counts == written.counts == {"/camera/image_raw": 30, "/crack_opening_truth": 30, "/tf_static": 0}
+    assert latched_topics(path) == {"/tf_static"}
+
+    information = yaml.safe_load((path / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    names = [f"flight_{k}.mcap" for k in range(len(information["files"]))]
+    assert len(names) == 5, "images of 100 kB, eight at a time until a file has its size"
+    assert information["relative_file_paths"] == [file["path"] for file in information["files"]] == names
+    assert sorted(file.name for file in path.iterdir()) == sorted([*names, "metadata.yaml"])
+    by_file = []
+    for about in information["files"]:
+        with (path / about["path"]).open("rb") as file:
+            reader = make_reader(file, validate_crcs=True)
+            by_file.append([(c.topic, s.name, m.log_time, m.data) for s, c, m in reader.iter_messages()])
+            channels, (record,) = reader.get_summary().channels.values(), reader.iter_metadata()
+        times = [time for _, _, time, _ in by_file[-1]]
+        assert about["message_count"] == len(times)
+        assert about["starting_time"]["nanoseconds_since_epoch"] == min(times)
+        assert about["duration"]["nanoseconds"] == max(times) - min(times)
+        described = yaml.safe_load(record.metadata["serialized_metadata"])
+        assert described["files"] == [about]
+        of_bag = {
+            topic["topic_metadata"]["name"]: topic["topic_metadata"]
+            for topic in information["topics_with_message_count"]
+        }
+        for channel in channels:  # every file says all that is to know of every topic
+            about_topic = of_bag[channel.topic]
+            assert yaml.safe_load(channel.metadata["offered_qos_profiles"]) == about_topic["offered_qos_profiles"]
+            assert channel.metadata["topic_type_hash"] == about_topic["type_description_hash"]
+        assert {channel.topic for channel in channels} == set(of_bag)
+    assert [message for of_file in by_file for message in of_file] == sent
+
+
+def test_more_than_ten_files_are_read_in_their_order(tmp_path):
+    write_sample(tmp_path / "flight", split_bytes=100_000, truth_late_ns=250)
+    assert len(list((tmp_path / "flight").glob("*.mcap"))) == 31
+    with BagReader(tmp_path / "flight") as bag:
+        times = [time for _, time, _ in bag.messages()]
+    assert times == sorted(times) and len(times) == 60
+
+
+def test_what_was_flushed_is_there_whatever_comes_after(tmp_path):
+    with BagWriter(tmp_path / "flight") as bag:
+        bag.add_topic("/t", OPENING)
+        bag.write_message("/t", 1, make_message(OPENING, opening=1.0))
+        assert bag.counts == {"/t": 0}, "in no chunk yet"
+        bag.flush()
+        bag.write_message("/t", 2, make_message(OPENING, opening=2.0))
+        assert bag.counts == {"/t": 1}
+        repair = repair_bag(tmp_path / "flight")
+    with BagReader(repair.path) as bag:
+        assert [message.opening for *_, message in bag.messages()] == [1.0]
 
 
 @pytest.mark.parametrize("typename", [IMAGE, messages.CAMERA_INFO, messages.IMU, OPENING])

@@ -57,9 +57,8 @@ class WatchedPublisher:
 class Diagnostics:
     """One status for the node (its counters, what it tells, its level and message) and one for each watched publisher.
 
-    Status names are `/node` and `/node: /topic`. The level is OK until `warn`, then WARN until `ok`; a change is sent
-    at once. It runs
-    by the steady clock, so that a node that waits for /clock is heard too.
+    Status names are `/node` and `/node: /topic`. The level is OK, or what `warn` or `error` last set it to, until `ok`;
+    a change is sent at once. It runs by the steady clock, so that a node that waits for /clock is heard too.
     """
 
     def __init__(self, node: Node) -> None:
@@ -68,8 +67,8 @@ class Diagnostics:
         self._counters: Counter[str] = Counter()
         self._told: dict[str, str] = {}
         self._publishers: list[WatchedPublisher] = []
-        self._warning = ""
-        self._warned_at = self._sent_at = float("-inf")
+        self._level, self._problem = DiagnosticStatus.OK, ""
+        self._logged_at = self._sent_at = float("-inf")
         self._output = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._timer = node.create_timer(PERIOD_S, self._publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
@@ -93,32 +92,42 @@ class Diagnostics:
 
     def warn(self, text: str) -> None:
         """Set the level to WARN, and log the text (at most every few seconds while it stays the same)."""
-        now = time.monotonic()
-        if text != self._warning or now - self._warned_at > REPEAT_WARNING_S:
+        if self._is_to_be_logged(text):
             self._node.get_logger().warning(text)
-            self._warned_at = now
-        self._set(text)
+        self._set(DiagnosticStatus.WARN, text)
+
+    def error(self, text: str) -> None:
+        """Set the level to ERROR, for a node that goes on but cannot do its work any more; log it like a warning."""
+        if self._is_to_be_logged(text):
+            self._node.get_logger().error(text)
+        self._set(DiagnosticStatus.ERROR, text)
 
     def ok(self) -> None:
         """Set the level back to OK."""
-        self._set("")
+        self._set(DiagnosticStatus.OK, "")
 
-    def _set(self, warning: str) -> None:
-        changed = warning != self._warning
-        self._warning = warning
+    def _is_to_be_logged(self, text: str) -> bool:
+        now = time.monotonic()
+        if text == self._problem and now - self._logged_at <= REPEAT_WARNING_S:
+            return False
+        self._logged_at = now
+        return True
+
+    def _set(self, level: bytes, problem: str) -> None:
+        changed = (level, problem) != (self._level, self._problem)
+        self._level, self._problem = level, problem
         if changed and time.monotonic() - self._sent_at > SOONEST_S:
             self._publish()
 
     def _publish(self) -> None:
         self._sent_at = time.monotonic()
-        level = DiagnosticStatus.WARN if self._warning else DiagnosticStatus.OK
         message = DiagnosticArray()
         message.header.stamp = self._node.get_clock().now().to_msg()
         message.status = [
             DiagnosticStatus(
-                level=level,
+                level=self._level,
                 name=self._name,
-                message=self._warning or "OK",
+                message=self._problem or "OK",
                 values=[_pair(*named) for named in (*sorted(self._counters.items()), *self._told.items())],
             )
         ]

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import Any
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
@@ -14,33 +13,17 @@ from std_srvs.srv import SetBool
 
 from ..bag import BagWriter
 from ..errors import RgbdDicError, SettingsError
-from ..settings import Settings, setting
-from .diagnostics import Diagnostics
+from ..recording import Recording
+from .diagnostics import PERIOD_S, Diagnostics
 from .parameters import declare, declare_path
+from .recorder_health import RecorderHealth
+from .recorder_settings import RecorderSettings
 from .ros_messages import message_class
 from .spinning import run
 
 POLL_S = 0.2
 NEVER_DISCOVERED = ("/clock", "/rosout", "/parameter_events")
-# Messages held until /clock says what time it is.
-HELD = 1000
-
-
-@dataclass(frozen=True)
-class RecorderSettings(Settings):
-    """What is recorded, and how."""
-
-    topics: tuple[str, ...] = setting(
-        (),
-        doc="'NAME TYPE', with 'latched' or 'best_effort' after it where that is how the topic is offered; "
-        "empty records every topic of the node's namespace and /tf_static as they appear",
-    )
-    queue_depth: int = setting(
-        200, doc="messages of a topic kept while the disk is slow", unit="messages", low=1, high=10000
-    )
-    compression: str = setting(
-        "none", doc="of the bag; zstd costs half a core and saves little", choices=("none", "zstd")
-    )
+MB = 1_000_000
 
 
 class RecorderNode(Node):
@@ -48,32 +31,37 @@ class RecorderNode(Node):
 
     def __init__(self) -> None:
         super().__init__("recorder_node")
-        self._settings = declare(self, RecorderSettings)
+        self._settings = settings = declare(self, RecorderSettings)
         output = declare_path(self, "output", "the directory of the bag to be made")
-        wanted = [_parse(entry) for entry in self._settings.topics if entry]
+        wanted = [_parse(entry) for entry in settings.topics if entry]
+        bag = BagWriter(output, settings.compression, settings.split_mb * MB, durable=True)
+        self._recording = Recording(bag, settings.buffer_mb * MB, settings.reserve_mb * MB)
         self._diagnostics = Diagnostics(self)
+        self._health = RecorderHealth(self._diagnostics, self._recording, settings.warning_s)
         self._recorded: dict[str, Subscription | None] = {}
         self._latched: dict[str, bool] = {}
-        self._held: deque[tuple[str, bytes]] = deque(maxlen=HELD)
-        self._bag = BagWriter(output, self._settings.compression)
         self._writes = True
         self.create_service(SetBool, "~/record", self._set_writing)
         self._diagnostics.tell("recording", "on")
         for name, typename, latched, reliable in wanted:
             self._subscribe(self.resolve_topic_name(name), typename, latched, reliable)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
         if not wanted:
-            self.create_timer(POLL_S, self._discover, clock=Clock(clock_type=ClockType.STEADY_TIME))
+            self.create_timer(POLL_S, self._discover, clock=steady)
+        self.create_timer(PERIOD_S, self._health.report, clock=steady)
         self.get_logger().info(f"recording into {output}")
 
     def close(self) -> None:
         """Take what has arrived and not been handled yet, and finish the bag."""
         for topic, subscription in self._recorded.items():
             while subscription and (taken := _take(subscription)) is not None:
-                self._record(topic, taken)
-        self._write_held()
-        self._bag.close()
-        total = sum(self._bag.counts.values())
-        self.get_logger().info(f"recorded {total} messages of {len(self._bag.counts)} topics")
+                self._record(topic, *taken)
+        try:
+            self._recording.close()
+        finally:
+            counts, dropped = self._recording.bag.counts, sum(self._recording.dropped.values())
+            lost = f"; {dropped} were dropped" if dropped else ""
+            self.get_logger().info(f"recorded {sum(counts.values())} messages of {len(counts)} topics{lost}")
 
     def _discover(self) -> None:
         namespace = self.get_namespace().rstrip("/") + "/"
@@ -92,9 +80,9 @@ class RecorderNode(Node):
         self._recorded[topic], self._latched[topic] = None, latched
         try:
             kind = message_class(typename)
-            self._bag.add_topic(topic, typename, transient_local=latched, reliable=reliable)
+            self._recording.add_topic(topic, typename, latched, reliable)
         except RgbdDicError as error:
-            self._diagnostics.warn(f"{topic} is not recorded: {error}")
+            self._health.not_recorded(f"{topic} is not recorded: {error}")
             return
         qos = QoSProfile(
             history=HistoryPolicy.KEEP_LAST,
@@ -102,38 +90,33 @@ class RecorderNode(Node):
             reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
             durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
         )
-        self._recorded[topic] = self.create_subscription(
-            kind, topic, lambda data: self._record(topic, data), qos, raw=True
-        )
+
+        def take(data: bytes, info: dict[str, Any]) -> None:
+            self._record(topic, data, info)
+
+        self._recorded[topic] = self.create_subscription(kind, topic, take, qos, raw=True)
 
     def _set_writing(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         """Latched topics are recorded in any case: what comes later rests on them."""
         self._writes = request.data
         self._diagnostics.tell("recording", "on" if request.data else "off")
-        response.success = True
+        response.success = not self._recording.ended
         response.message = "recording" if request.data else "not recording until it is started again"
+        response.message = self._recording.ended or response.message
         self.get_logger().info(response.message)
         return response
 
-    def _record(self, topic: str, data: bytes) -> None:
-        if not (self._writes or self._latched[topic]):
+    def _record(self, topic: str, data: bytes, info: dict[str, Any]) -> None:
+        self._health.arrived(topic, info["publication_sequence_number"], self.count_publishers)
+        if self._writes or self._latched[topic]:
+            self._recording.put(topic, self.get_clock().now().nanoseconds, data)
+        else:
             self._diagnostics.count("not recorded, as told")
-            return
-        self._diagnostics.count(f"recorded {topic}")
-        self._held.append((topic, data))
-        if self.get_clock().now().nanoseconds > 0:
-            self._write_held()
-
-    def _write_held(self) -> None:
-        while self._held:
-            topic, data = self._held.popleft()
-            self._bag.write(topic, self.get_clock().now().nanoseconds, data)
 
 
-def _take(subscription: Subscription) -> bytes | None:
+def _take(subscription: Subscription) -> tuple[bytes, dict[str, Any]] | None:
     with subscription.handle:
-        taken = subscription.handle.take_message(subscription.msg_type, True)
-    return None if taken is None else taken[0]
+        return subscription.handle.take_message(subscription.msg_type, True)
 
 
 def _parse(entry: str) -> tuple[str, str, bool, bool]:
