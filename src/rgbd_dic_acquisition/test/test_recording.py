@@ -192,7 +192,7 @@ def test_a_disk_that_breaks_is_told_and_what_was_on_it_is_repaired(tmp_path):
 def test_power_loss_takes_the_last_second_at_most(tmp_path):
     """What the disk itself holds at some moment is what power loss at that moment leaves."""
     with image_disk(tmp_path / "flying", 200) as (disk, image):
-        recording = begin(disk / "bag", reserve_mb=16, split_mb=10)
+        recording = begin(disk / "bag", reserve_mb=16)
         put_many(recording, 0, 300, 0.01)
         first, begun = 300, time.monotonic()
         shutil.copyfile(image, tmp_path / "lost.img")

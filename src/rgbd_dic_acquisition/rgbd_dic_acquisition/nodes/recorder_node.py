@@ -1,8 +1,13 @@
-"""Records topics into a bag, byte for byte as the middleware delivers them."""
+"""Records topics into a bag, byte for byte as the middleware delivers them.
+
+The executor serves the recorded topics only where /clock gives the time of their arrival. Otherwise the node takes
+them by itself, some times a second: the middleware has stamped their arrival and numbered them, so that what is missing
+is known (rclpy's EventsExecutor fails with callbacks that ask for that), and one turn takes many.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from rclpy.clock import Clock, ClockType
@@ -21,7 +26,8 @@ from .recorder_settings import RecorderSettings
 from .ros_messages import message_class
 from .spinning import run
 
-POLL_S = 0.2
+DISCOVER_S = 0.2
+TAKE_S = 0.02
 NEVER_DISCOVERED = ("/clock", "/rosout", "/parameter_events")
 MB = 1_000_000
 
@@ -30,7 +36,10 @@ class RecorderNode(Node):
     """Writes the bag `output`; SIGINT and SIGTERM finish it."""
 
     def __init__(self) -> None:
+        self._recorded: dict[str, Subscription | None] = {}
+        self._by_clock = True
         super().__init__("recorder_node")
+        self._by_clock = self.get_clock().ros_time_is_active
         self._settings = settings = declare(self, RecorderSettings)
         output = declare_path(self, "output", "the directory of the bag to be made")
         wanted = [_parse(entry) for entry in settings.topics if entry]
@@ -38,7 +47,6 @@ class RecorderNode(Node):
         self._recording = Recording(bag, settings.buffer_mb * MB, settings.reserve_mb * MB)
         self._diagnostics = Diagnostics(self)
         self._health = RecorderHealth(self._diagnostics, self._recording, settings.warning_s)
-        self._recorded: dict[str, Subscription | None] = {}
         self._latched: dict[str, bool] = {}
         self._writes = True
         self.create_service(SetBool, "~/record", self._set_writing)
@@ -47,15 +55,24 @@ class RecorderNode(Node):
             self._subscribe(self.resolve_topic_name(name), typename, latched, reliable)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         if not wanted:
-            self.create_timer(POLL_S, self._discover, clock=steady)
+            self.create_timer(DISCOVER_S, self._discover, clock=steady)
         self.create_timer(PERIOD_S, self._health.report, clock=steady)
         self.get_logger().info(f"recording into {output}")
 
+    @property
+    def subscriptions(self) -> Iterator[Subscription]:
+        """Those that the executor serves."""
+        return (known for known in super().subscriptions if self._by_clock or known.topic not in self._recorded)
+
+    def work(self) -> Iterator[float]:
+        while True:
+            if not self._by_clock:
+                self._take()
+            yield TAKE_S
+
     def close(self) -> None:
-        """Take what has arrived and not been handled yet, and finish the bag."""
-        for topic, subscription in self._recorded.items():
-            while subscription and (taken := _take(subscription)) is not None:
-                self._record(topic, *taken)
+        """Take what has arrived, and finish the bag."""
+        self._take()
         try:
             self._recording.close()
         finally:
@@ -90,11 +107,9 @@ class RecorderNode(Node):
             reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
             durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
         )
-
-        def take(data: bytes, info: dict[str, Any]) -> None:
-            self._record(topic, data, info)
-
-        self._recorded[topic] = self.create_subscription(kind, topic, take, qos, raw=True)
+        self._recorded[topic] = self.create_subscription(
+            kind, topic, lambda data: self._record(topic, self.get_clock().now().nanoseconds, data), qos, raw=True
+        )
 
     def _set_writing(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         """Latched topics are recorded in any case: what comes later rests on them."""
@@ -106,15 +121,26 @@ class RecorderNode(Node):
         self.get_logger().info(response.message)
         return response
 
-    def _record(self, topic: str, data: bytes, info: dict[str, Any]) -> None:
-        self._health.arrived(topic, info["publication_sequence_number"], self.count_publishers)
+    def _take(self) -> None:
+        """Record what has arrived, in the order in which it did."""
+        taken = []
+        for topic, subscription in self._recorded.items():
+            while subscription and (message := _taken(subscription)) is not None:
+                data, info = message
+                self._health.arrived(topic, info["publication_sequence_number"], self.count_publishers)
+                taken.append((info["received_timestamp"], topic, data))
+        for received_ns, topic, data in sorted(taken, key=lambda message: message[0]):
+            now_ns = self.get_clock().now().nanoseconds
+            self._record(topic, now_ns if self._by_clock else received_ns or now_ns, data)
+
+    def _record(self, topic: str, log_time_ns: int, data: bytes) -> None:
         if self._writes or self._latched[topic]:
-            self._recording.put(topic, self.get_clock().now().nanoseconds, data)
+            self._recording.put(topic, log_time_ns, data)
         else:
             self._diagnostics.count("not recorded, as told")
 
 
-def _take(subscription: Subscription) -> tuple[bytes, dict[str, Any]] | None:
+def _taken(subscription: Subscription) -> tuple[bytes, dict[str, Any]] | None:
     with subscription.handle:
         return subscription.handle.take_message(subscription.msg_type, True)
 
