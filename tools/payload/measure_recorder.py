@@ -6,7 +6,7 @@
 Another process publishes mono8 images of 1440 x 1080 at 60 Hz, depth, intensity and confidence of 640 x 480 at 20 Hz,
 their camera_infos and attitude at 50 Hz. Prints the tables of docs/payload.md; --write puts them there.
 
-Ten minutes are 67 GB. So finished files of the bag are counted by their index and deleted behind the recorder, but for
+Ten minutes are 78 GB. So finished files of the bag are counted by their index and deleted behind the recorder, but for
 the last two; --keep leaves all. --out says where the bag is written: the disk of the temporary folder, if not given.
 """
 

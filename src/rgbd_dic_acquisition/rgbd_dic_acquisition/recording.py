@@ -12,8 +12,8 @@ from .errors import BagError
 from .message_types import definition
 
 TURN_S = 0.1  # the longest that a message waits before it goes into a chunk
-FLUSH_S = 0.5  # the longest that a chunk waits before it goes to the kernel
-SYNC_S = 1.0  # between the times at which all is brought to the disk
+FLUSH_S = 0.3  # the longest that a chunk waits before it goes to the kernel
+SYNC_S = 0.5  # between the times at which all is brought to the disk
 
 
 class Recording:

@@ -64,7 +64,7 @@ def domain(processes: Processes) -> int:
     return int(processes._environment["ROS_DOMAIN_ID"])
 
 
-def wait_for(condition, meanwhile=lambda: time.sleep(0.05), seconds: float = 60.0) -> None:
+def wait_for(condition, meanwhile=lambda: time.sleep(0.05), seconds: float = 120.0) -> None:
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end
