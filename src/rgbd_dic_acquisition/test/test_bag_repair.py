@@ -18,6 +18,7 @@ from rgbd_dic_acquisition.bag_writer import CHUNK_BYTES
 from rgbd_dic_acquisition.errors import BagError
 from rgbd_dic_acquisition.message_types import serialise
 from rgbd_dic_acquisition.messages import stamp_to_ns
+from rgbd_dic_acquisition.offered_qos import latched_topics
 from sensor_msgs.msg import Image
 from test_nodes import Processes
 
@@ -179,6 +180,25 @@ def test_a_bag_of_several_files_of_which_the_last_was_cut(whole, tmp_path):
     with pytest.raises(BagError, match="rgbd-dic info --repair"):
         BagReader(bag)
     assert read(repair_bag(bag).path) == sent + read(second)[:count]
+
+
+def test_a_recording_of_several_files_that_was_not_closed(tmp_path):
+    """As a killed recorder leaves it: the finished files are linked, what was flushed of the last one is copied."""
+    bag = BagWriter(tmp_path / "flight", split_bytes=500_000)
+    bag.add_topic("/t", "std_msgs/msg/String", transient_local=True)
+    for k in range(19):
+        bag.write("/t", k, bytes([k]) * 100_000)
+    bag.flush()
+    bag.write("/t", 19, b"lost")
+    finished = sorted((tmp_path / "flight").glob("*.mcap"))[:-1]
+    with pytest.raises(BagError, match="rgbd-dic info --repair"):
+        BagReader(tmp_path / "flight")
+    repair = repair_bag(tmp_path / "flight")
+    assert [data[0] for *_, data in read(repair.path)] == list(range(19))
+    assert len(finished) == 3 and repair.lost_bytes == 0
+    for k, file in enumerate(finished):
+        assert (repair.path / f"flight_repaired_{k}.mcap").samefile(file)
+    assert latched_topics(repair.path) == {"/t"}
 
 
 def test_nothing_to_repair(whole):

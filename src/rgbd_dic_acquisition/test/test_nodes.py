@@ -150,11 +150,11 @@ def processes(tmp_path):
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory) -> Path:
-    """1.5 s of small images, their calibration, attitude at 120 Hz and one latched message."""
+    """1.5 s of small images, their calibration, attitude at 120 Hz and one latched message, in several files."""
     path = tmp_path_factory.mktemp("source") / "flight"
     rng = np.random.default_rng(11)
     camera = Camera(64, 48, 60.0, 60.0, 31.5, 23.5)
-    with BagWriter(path) as writer:
+    with BagWriter(path, split_bytes=120_000) as writer:
         for name, kind in RECORDED.items():
             writer.add_topic(f"/{name}", kind.split()[0], transient_local="latched" in kind)
         writer.write("/label", START_NS, serialise(make_message("std_msgs/msg/String", data="panel 1")))
@@ -167,6 +167,7 @@ def bag(tmp_path_factory) -> Path:
             for shift in (10_000_000, 16_000_000):
                 imu = imu_message(make_message, stamp + shift, "base_link", (0, 0, 0, 1), np.eye(3))
                 writer.write("/imu/data", stamp + shift, serialise(imu))
+    assert len(list(path.glob("*.mcap"))) == 4
     return path
 
 

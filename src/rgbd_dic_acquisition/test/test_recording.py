@@ -155,6 +155,23 @@ def test_a_full_disk_ends_the_bag_before_it_is_full(tmp_path, split_mb):
             assert reader.message_count == len(kept)
 
 
+def test_a_disk_that_is_full_at_the_start_is_told_at_once(tmp_path):
+    with memory_disk(tmp_path, 8) as disk:
+        recording = begin(disk / "bag", reserve_mb=16)
+        wait_for(lambda: recording.ended)
+        recording.put("/t", 1, message(0))
+        with pytest.raises(BagError, match="make room"):
+            recording.close()
+        assert numbers(disk / "bag") == [] and recording.dropped == {"/t": 1}
+
+
+def test_a_bag_whose_folder_is_taken_away_is_told(tmp_path):
+    recording = begin(tmp_path / "bag")
+    shutil.rmtree(tmp_path / "bag")
+    wait_for(lambda: recording.ended)
+    assert "No such file or directory" in recording.ended
+
+
 @pytest.mark.parametrize("megabytes", [5, 6, 7, 8])
 def test_a_disk_that_refuses_leaves_a_bag_that_can_be_read(tmp_path, megabytes):
     """Without a reserve: it is full in the middle of a chunk, and the chunks at its end make room for the index."""
