@@ -156,11 +156,11 @@ class Bag:
     """Counts the messages of finished files by their index, and deletes those behind the last ones."""
 
     def __init__(self, path: Path, keep: bool) -> None:
-        self._path, self._keep = path, keep
+        self.path, self._keep = path, keep
         self._files: dict[str, Counter[str]] = {}
 
     def look(self, finished: bool = False) -> None:
-        files = sorted(self._path.glob("*.mcap"), key=lambda file: int(file.stem.rpartition("_")[2]))
+        files = sorted(self.path.glob("*.mcap"), key=lambda file: int(file.stem.rpartition("_")[2]))
         for file in files if finished else files[:-1]:
             if file.name not in self._files:
                 with file.open("rb") as stream:
@@ -185,19 +185,34 @@ def environment(folder: Path) -> dict[str, str]:
 
 def measure(folder: Path, output: Path, seconds: float, keep: bool, parameters: list[str]) -> str:
     """Both tables, and a line on what else the computer did."""
-    recorder, bag = Recorder(folder, output, parameters), Bag(output, keep)
     publisher = subprocess.Popen(
         [sys.executable, __file__, "--seconds", str(seconds), "--publish"],
         env=environment(folder),
         stdout=subprocess.PIPE,
     )
+    recorder, bag = Recorder(folder, output, parameters), Bag(output, keep)
+    try:
+        cost = watch(recorder, publisher, bag, seconds)
+        said = json.loads(publisher.stdout.readline())
+        recorder.listen(3.0)
+        publisher.wait()
+    finally:
+        publisher.terminate()
+        recorder.close()
+    bag.look(finished=True)
+    return tables(said, bag.counts(), cost, recorder.told)
+
+
+def watch(recorder: Recorder, publisher: subprocess.Popen, bag: Bag, seconds: float) -> tuple[list[str], str]:
+    """While all is published: the rows of the table over time, and a sentence on the whole."""
     while float(recorder.told.get("rate [MB/s]", "0")) < 10:
         recorder.listen(0.2)
         if publisher.poll() is not None or recorder.process.poll() is not None:
-            raise SystemExit((folder / "recorder.txt").read_text() or "the publisher ended")
+            raise SystemExit(f"one of the processes ended: {Path(recorder.log.name).read_text()}")
     recorder.listen(SETTLE_S)
+    processes = (recorder.process, publisher)
     begun, spent, busy = time.monotonic(), recorder.threads_s(), _busy_s()
-    own = _process_s(recorder.process) + _process_s(publisher)
+    own = sum(_process_s(process) for process in processes)
     rows, most_waiting, most_mb = [], 0.0, 0.0
     span_s = max(5.0, seconds - SETTLE_S - 5.0)
     before = (begun, sum(spent.values()))
@@ -209,35 +224,34 @@ def measure(folder: Path, output: Path, seconds: float, keep: bool, parameters: 
             most_mb = max(most_mb, recorder.memory_mb())
         now, total = time.monotonic(), sum(recorder.threads_s().values())
         share = 100 * (total - before[1]) / (now - before[0])
-        rows.append((now - begun + SETTLE_S, share, recorder.memory_mb(), float(recorder.told["rate [MB/s]"])))
+        rate = recorder.told["rate [MB/s]"]
+        rows.append(f"| {now - begun + SETTLE_S:.0f} | {share:.1f} | {recorder.memory_mb():.0f} | {rate} |")
         before = (now, total)
     took_s = time.monotonic() - begun
     shares = {kind: 100 * (s - spent[kind]) / took_s for kind, s in recorder.threads_s().items()}
-    own = _process_s(recorder.process) + _process_s(publisher) - own
-    others = 100 * (_busy_s() - busy - own) / took_s
-    said = json.loads(publisher.stdout.readline())
-    recorder.listen(3.0)
-    missed = sum(int(n) for key, n in recorder.told.items() if key.startswith("missed /"))
-    dropped = sum(int(n) for key, n in recorder.told.items() if key.startswith("dropped /"))
-    publisher.wait()
-    recorder.close()
-    bag.look(finished=True)
-    sent, recorded = Counter(said["sent"]), bag.counts()
+    others_s = _busy_s() - busy - (sum(_process_s(process) for process in processes) - own)
+    return rows, (
+        f"The recorder took {sum(shares.values()):.1f} % of a core ("
+        + ", ".join(f"{kind} {share:.1f}" for kind, share in sorted(shares.items()))
+        + f"), at most {most_mb:.0f} MB of memory of its own, and {most_waiting:.0f} MB of messages waited for the disk ("
+        f"{_disk(bag.path)}). Meanwhile other programs took {100 * max(0.0, others_s) / took_s:.0f} % of the "
+        f"{100 * os.cpu_count()} % that the computer has."
+    )
+
+
+def tables(said: dict, recorded: Counter[str], cost: tuple[list[str], str], told: dict[str, str]) -> str:
+    """What goes into the page: what was sent and recorded, and what it cost."""
+    sent = Counter(said["sent"])
+    missed, dropped = (
+        sum(int(count) for key, count in told.items() if key.startswith(f"{name} /")) for name in ("missed", "dropped")
+    )
     lines = ["| Topic | sent | recorded | lost |", "|---|---|---|---|"]
     lines += [
         f"| `{topic}` | {sent[topic]} | {recorded[topic]} | {sent[topic] - recorded[topic]} |" for topic in TOPICS
     ]
-    lines += ["", "| After [s] | processor [% of a core] | memory [MB] | written [MB/s] |", "|---|---|---|---|"]
-    lines += [f"| {at:.0f} | {share:.1f} | {memory:.0f} | {rate:.0f} |" for at, share, memory, rate in rows]
-    of_threads = ", ".join(f"{kind} {share:.1f}" for kind, share in sorted(shares.items()))
-    lines += [
-        "",
-        f"Published for {said['took']:.1f} s ({seconds:.0f} s asked) to {_disk(output)}; the recorder took "
-        f"{sum(shares.values()):.1f} % of a core ({of_threads}), at most {most_mb:.0f} MB of memory of its own and "
-        f"{most_waiting:.0f} MB of messages waiting for the disk; it counted {missed} missed and {dropped} dropped. "
-        f"All else on the computer but the publisher took {max(0.0, others):.0f} % of its {os.cpu_count()} cores of "
-        "100 % each.",
-    ]
+    lines += ["", "| After [s] | processor [% of a core] | memory [MB] | rate over 5 s [MB/s] |", "|---|---|---|---|"]
+    lines += cost[0]
+    lines += ["", f"Published in {said['took']:.1f} s. {cost[1]} It counted {missed} missed and {dropped} dropped."]
     return "\n".join(lines)
 
 
@@ -261,7 +275,7 @@ def _disk(path: Path) -> str:
     kind = subprocess.run(
         ["findmnt", "-n", "-o", "FSTYPE", "-T", str(path.parent)], capture_output=True, text=True
     ).stdout.strip()
-    return f"a file system of type {kind or 'unknown'}"
+    return f"{kind or 'of an unknown kind'}"
 
 
 def main() -> int:
