@@ -233,8 +233,8 @@ def watch(recorder: Recorder, publisher: subprocess.Popen, bag: Bag, seconds: fl
     return rows, (
         f"The recorder took {sum(shares.values()):.1f} % of a core ("
         + ", ".join(f"{kind} {share:.1f}" for kind, share in sorted(shares.items()))
-        + f"), at most {most_mb:.0f} MB of memory of its own, and {most_waiting:.0f} MB of messages waited for the disk ("
-        f"{_disk(bag.path)}). Meanwhile other programs took {100 * max(0.0, others_s) / took_s:.0f} % of the "
+        + f"), at most {most_mb:.0f} MB of memory of its own, and {most_waiting:.0f} MB of messages waited for the "
+        f"disk ({_disk(bag.path)}). Meanwhile other programs took {100 * max(0.0, others_s) / took_s:.0f} % of the "
         f"{100 * os.cpu_count()} % that the computer has."
     )
 

@@ -148,6 +148,7 @@ class BagWriter:
             return
         try:
             os.fdatasync(descriptor)
+            os.posix_fadvise(descriptor, 0, 0, os.POSIX_FADV_DONTNEED)  # else the bag fills the memory
         except OSError as error:
             raise BagError(f"cannot write to the bag {self.path}: {error.strerror}") from error
         finally:
