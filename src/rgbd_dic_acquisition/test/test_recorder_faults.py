@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import signal
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -116,6 +117,7 @@ def test_what_a_killed_recorder_got_of_a_slow_topic_is_in_its_bag(processes, tmp
     copies = itertools.count()
     with camera(processes, rows=1) as sensor:
         sensor.wait_for_listeners(1)
+        before_ns = time.time_ns()
         for _ in range(5):
             sensor.publish()
 
@@ -128,7 +130,11 @@ def test_what_a_killed_recorder_got_of_a_slow_topic_is_in_its_bag(processes, tmp
         wait_for(is_written)
         recorder.kill()
         recorder.wait()
-    assert stamps(repair_bag(tmp_path / "flight").path) == list(range(5))
+        after_ns = time.time_ns()
+    repaired = repair_bag(tmp_path / "flight").path
+    assert stamps(repaired) == list(range(5))
+    with BagReader(repaired) as bag:  # log times are those of arrival; the middleware rounds them by a nanosecond
+        assert before_ns - 1000 < bag.start_ns < bag.end_ns < after_ns
 
 
 def test_what_did_not_get_here_is_counted(processes, tmp_path):
@@ -140,11 +146,11 @@ def test_what_did_not_get_here_is_counted(processes, tmp_path):
             sensor.publish()
             time.sleep(0.05)
         wait_for(lambda: int(ear.values.get("recorded /camera/image_raw", 0)) > 0)
-        recorder.send_signal(19)  # SIGSTOP
+        recorder.send_signal(signal.SIGSTOP)
         for _ in range(150):
             sensor.publish()
             time.sleep(0.01)
-        recorder.send_signal(18)  # SIGCONT
+        recorder.send_signal(signal.SIGCONT)
         for _ in range(10):
             sensor.publish()
             time.sleep(0.1)
