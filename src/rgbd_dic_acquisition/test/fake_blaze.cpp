@@ -1,10 +1,12 @@
 // A GenTL producer (GenICam GenTL 1.6) with one ToF camera that has the features of a Blaze and obeys the test.
 //
 // FAKE_BLAZE names a folder: device.xml (its features, see fake_blaze.py), memory.bin (its registers, and the faults that it is to have,
-// both mapped and shared with the test) and frame.bin (range, intensity and confidence, uint16 each; several such frames
-// are shown there and back by the host's clock).
+// both mapped and shared with the test), frame.bin (range, intensity and confidence, uint16 each; then those of the next
+// frame, if it plays several) and, if it is there, sent.csv, which gets a line `frame number,host time,device time,index`
+// for each frame that it sends.
 #include <fcntl.h>
 #include <sys/mman.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -12,15 +14,15 @@
 #include <cmath>
 #include <condition_variable>
 #include <cstdint>
+#include <cstdio>
 #include <cstdlib>
 #include <cstring>
 #include <deque>
-#include <fstream>
-#include <iterator>
 #include <mutex>
 #include <random>
 #include <string>
 #include <thread>
+#include <utility>
 #include <vector>
 
 namespace {
@@ -43,8 +45,32 @@ enum : size_t {
   kCentreU = 0x0B8, kCentreV = 0x0C0, kWidth = 0x0C8, kHeight = 0x0CC, kStart = 0x0D0, kStop = 0x0D4,
   kLatch = 0x0E0, kLatched = 0x0E8,
   kPresent = 0x800, kFrozen = 0x804, kFail = 0x808, kSkip = 0x80C, kMade = 0x810, kSkew = 0x818, kOffset = 0x820,
-  kJitter = 0x828, kTick = 0x830, kTicksOnly = 0x834, kShown = 0x838
+  kJitter = 0x828, kTick = 0x830, kTicksOnly = 0x834, kPlayed = 0x838
 };
+
+template <typename Clock>
+int64_t nanoseconds() {
+  return std::chrono::duration_cast<std::chrono::nanoseconds>(Clock::now().time_since_epoch()).count();
+}
+
+// Host time and steady time of one moment, to 20 us, however busy the computer is.
+std::pair<int64_t, int64_t> both_clocks() {
+  for (;;) {
+    const int64_t before = nanoseconds<std::chrono::steady_clock>();
+    const int64_t host = nanoseconds<std::chrono::system_clock>();
+    const int64_t after = nanoseconds<std::chrono::steady_clock>();
+    if (after - before < 20'000) return {host, (before + after) / 2};
+  }
+}
+
+const uint8_t* map_file(const std::string& path, size_t* size) {
+  const int file = ::open(path.c_str(), O_RDONLY);
+  struct stat about;
+  if (file < 0 || ::fstat(file, &about) != 0) return nullptr;
+  void* mapped = ::mmap(nullptr, *size = size_t(about.st_size), PROT_READ, MAP_SHARED, file, 0);
+  ::close(file);
+  return mapped == MAP_FAILED ? nullptr : static_cast<const uint8_t*>(mapped);
+}
 
 struct Part {
   uint64_t offset, size, type, format;
@@ -62,7 +88,9 @@ struct Buffer {
 struct Camera {
   uint8_t* memory = nullptr;
   std::string folder;
-  std::vector<uint8_t> frame;
+  const uint8_t* frames = nullptr;
+  size_t frames_size = 0;
+  int log = -1;
   std::mutex mutex;
   std::condition_variable changed;
   std::vector<Buffer*> announced;
@@ -85,26 +113,29 @@ struct Camera {
   size_t pixels() const { return size_t(get<uint32_t>(kWidth)) * get<uint32_t>(kHeight); }
   size_t payload() const { return pixels() * (12 + 2 + 2); }
 
+  size_t frame_count() const { return frames_size / (6 * pixels()); }
+
   // The clock of the camera: it starts at another time, and runs at another rate.
-  uint64_t now_ns() const {
-    const auto host = std::chrono::steady_clock::now().time_since_epoch();
-    const double ns = double(std::chrono::duration_cast<std::chrono::nanoseconds>(host).count());
-    return uint64_t(ns * (1 + 1e-6 * get<double>(kSkew))) + uint64_t(get<int64_t>(kOffset));
+  uint64_t now_ns(int64_t steady_ns = nanoseconds<std::chrono::steady_clock>()) const {
+    return uint64_t(double(steady_ns) * (1 + 1e-6 * get<double>(kSkew))) + uint64_t(get<int64_t>(kOffset));
   }
 
-  // Which of the frames in frame.bin is seen now.
-  size_t shown() const {
-    const size_t frames = frame.size() / (6 * pixels());
-    if (frames < 2) return 0;
-    const auto host = std::chrono::system_clock::now().time_since_epoch();
-    const auto number = std::llround(std::chrono::duration<double>(host).count() * get<double>(kShown));
-    const size_t last = frames - 1, step = size_t(number) % (2 * last);
-    return std::min(step, 2 * last - step);
+  // Time in a sequence that is played there and back by the host's clock, in frames.
+  double played(int64_t host_ns) const {
+    const int64_t there_ns = get<int64_t>(kPlayed);
+    return double(host_ns % (2 * there_ns)) * double(frame_count() - 1) / double(there_ns);
   }
 
-  void fill(Buffer& buffer, size_t seen) {
+  // How long until the next exposure: of a sequence, until the moment that its next frame shows.
+  std::chrono::nanoseconds until_due() const {
+    const double at = played(nanoseconds<std::chrono::system_clock>());
+    const double step_ns = double(get<int64_t>(kPlayed)) / double(frame_count() - 1);
+    return std::chrono::nanoseconds(int64_t((std::floor(at) + 1 - at) * step_ns));
+  }
+
+  void fill(Buffer& buffer, size_t index) {
     const size_t count = pixels(), width = get<uint32_t>(kWidth);
-    const auto* source = reinterpret_cast<const uint16_t*>(frame.data()) + 3 * count * seen;
+    const auto* source = reinterpret_cast<const uint16_t*>(frames) + 3 * count * index;
     buffer.parts.clear();
     uint64_t offset = 0;
     for (size_t component = 0; component < 3; ++component) {
@@ -135,14 +166,20 @@ struct Camera {
 
   void stream() {
     std::mt19937 random(1);
+    const bool plays = get<int64_t>(kPlayed) > 0 && frame_count() > 1;
     auto due = std::chrono::steady_clock::now();
     std::unique_lock<std::mutex> lock(mutex);
     while (!ending) {
-      due += std::chrono::nanoseconds(int64_t(1e9 / get<double>(kFrameRate)));
+      if (plays)
+        due = std::chrono::steady_clock::now() + until_due();
+      else
+        due += std::chrono::nanoseconds(int64_t(1e9 / get<double>(kFrameRate)));
       changed.wait_until(lock, due, [this] { return ending; });
       if (ending || !streaming || !present() || get<uint32_t>(kFrozen)) continue;
-      const uint64_t taken_ns = now_ns();
-      const size_t seen = shown();
+      const auto [host_ns, steady_ns] = both_clocks();
+      const uint64_t taken_ns = now_ns(steady_ns);
+      size_t index = plays ? size_t(std::llround(played(host_ns))) : 0;
+      if (index >= frame_count()) index = 2 * (frame_count() - 1) - index;
       ++frame_id;
       if (const uint32_t skip = get<uint32_t>(kSkip)) {
         set(kSkip, skip - 1);
@@ -161,7 +198,10 @@ struct Camera {
       buffer->queued = false;
       buffer->timestamp_ns = taken_ns;
       buffer->frame_id = frame_id;
-      fill(*buffer, seen);
+      fill(*buffer, index);
+      if (log >= 0)
+        dprintf(log, "%llu,%lld,%llu,%zu\n", static_cast<unsigned long long>(frame_id), static_cast<long long>(host_ns),
+                static_cast<unsigned long long>(taken_ns), index);
       const uint32_t fail = get<uint32_t>(kFail);
       buffer->incomplete = fail > 0;
       if (fail > 0) set(kFail, fail - 1);
@@ -176,7 +216,7 @@ struct Camera {
 Camera camera;
 Handle const kTl = &camera.memory;
 Handle const kInterface = &camera.folder;
-Handle const kDevice = &camera.frame;
+Handle const kDevice = &camera.frames;
 Handle const kPort = &camera.mutex;
 Handle const kStream = &camera.announced;
 Handle const kEvent = &camera.fired;
@@ -243,14 +283,18 @@ GENTL GCInitLib() {
   ::close(file);
   if (mapped == MAP_FAILED) return kError;
   camera.memory = static_cast<uint8_t*>(mapped);
-  std::ifstream frame(camera.folder + "/frame.bin", std::ios::binary);
-  camera.frame.assign(std::istreambuf_iterator<char>(frame), {});
-  return camera.frame.size() < 6 * camera.pixels() ? kError : kOk;
+  camera.frames = map_file(camera.folder + "/frame.bin", &camera.frames_size);
+  camera.log = ::open((camera.folder + "/sent.csv").c_str(), O_WRONLY | O_APPEND);
+  return camera.frames == nullptr || camera.frame_count() == 0 ? kError : kOk;
 }
 GENTL GCCloseLib() {
   end_stream();
   if (camera.memory != nullptr) ::munmap(camera.memory, kMemory);
+  if (camera.frames != nullptr) ::munmap(const_cast<uint8_t*>(camera.frames), camera.frames_size);
+  if (camera.log >= 0) ::close(camera.log);
   camera.memory = nullptr;
+  camera.frames = nullptr;
+  camera.log = -1;
   return kOk;
 }
 GENTL GCGetInfo(int32_t c, int32_t* t, void* b, size_t* s) { return producer_info(c, t, b, s); }

@@ -67,7 +67,7 @@ FAULTS: dict[str, tuple[int, str, Any]] = {
     "jitter_s": (0x828, "f8", 0.0),
     "tick_ns": (0x830, "u4", 1),  # what its time stamps count ...
     "ticks_only": (0x834, "u4", 0),  # ... 0: and call nanoseconds all the same
-    "shown_hz": (0x838, "f8", 0.0),  # new scenes a second, there and back by the host's clock, if there are several
+    "played_ns": (0x838, "i8", 0),  # how long a sequence takes to its end, from where it is played back; 0: one frame
 }
 
 
@@ -87,36 +87,56 @@ def compiler() -> str | None:
 class FakeBlaze:
     """The folder of one camera; its producer finds it by the environment variable FAKE_BLAZE.
 
+    Args:
+        played: a file of frames (N, 3, rows, cols) uint16 that are played there and back by the host's clock, in place
+            of one of random numbers; what was sent is then in `sent.csv`, as of the GigE Vision camera.
+        played_ns: from the first of them to the last.
+
     Attributes:
         stored, intensity, confidence: (rows, cols) uint16, what the camera sends; 0 in `stored` is no depth.
     """
 
-    def __init__(self, folder: Path, latch: bool = True, size: tuple[int, int] = (WIDTH, HEIGHT)) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        latch: bool = True,
+        size: tuple[int, int] = (WIDTH, HEIGHT),
+        played: Path | None = None,
+        played_ns: int = 0,
+    ) -> None:
         self.environment = {"FAKE_BLAZE": str(folder)}
-        rng, shape = np.random.default_rng(101), size[::-1]
-        self.stored = rng.integers(6554, 26214, shape).astype("<u2")  # 1 m to 4 m
-        self.stored[rng.random(shape) < 0.1] = 0
-        self.intensity, self.confidence = (rng.integers(1, 65536, shape).astype("<u2") for _ in range(2))
-        frame = b"".join(each.tobytes() for each in (self.stored, self.intensity, self.confidence))
-        (folder / "frame.bin").write_bytes(frame)
+        if played is None:
+            (folder / "frame.bin").write_bytes(self._random_frame(size[::-1]))
+        else:
+            (folder / "frame.bin").symlink_to(played.resolve())
+            (folder / "sent.csv").touch()
         (folder / "device.xml").write_text(description(latch))
         (folder / "memory.bin").write_bytes(bytes(4096))
         self._memory = np.memmap(folder / "memory.bin", np.uint8, "r+")
         for name, (_, _, value) in {**REGISTERS, **FAULTS}.items():
             self[name] = value
         self["Width"], self["Height"] = size
+        self["played_ns"] = played_ns
         self._folder = folder
 
     def show(self, frames: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], rate_hz: float, camera: Camera) -> None:
         """From when it is opened next: depth [m] (NaN where there is none), intensity and confidence of several scenes,
-        (rows, cols) each, there and back by the host's clock, seen by this camera."""
+        (rows, cols) each, so many a second, there and back by the host's clock, seen by this camera."""
         scale_m = self["Scan3dCoordinateScale"][2] * 1e-3
         stored = [(np.nan_to_num(np.rint(depth_m / scale_m)), *others) for depth_m, *others in frames]
         data = b"".join(each.astype("<u2").tobytes() for frame in stored for each in frame)
         (self._folder / "frame.bin").write_bytes(data)
-        self["Width"], self["Height"], self["shown_hz"] = camera.width, camera.height, rate_hz
+        self["Width"], self["Height"] = camera.width, camera.height
+        self["played_ns"] = round((len(frames) - 1) / rate_hz * 1e9)
         self["Scan3dFocalLength"] = camera.fx
         self["Scan3dPrincipalPointU"], self["Scan3dPrincipalPointV"] = camera.cx, camera.cy
+
+    def _random_frame(self, shape: tuple[int, int]) -> bytes:
+        rng = np.random.default_rng(101)
+        self.stored = rng.integers(6554, 26214, shape).astype("<u2")  # 1 m to 4 m
+        self.stored[rng.random(shape) < 0.1] = 0
+        self.intensity, self.confidence = (rng.integers(1, 65536, shape).astype("<u2") for _ in range(2))
+        return b"".join(each.tobytes() for each in (self.stored, self.intensity, self.confidence))
 
     def __getitem__(self, name: str) -> Any:
         values = self._view(name)

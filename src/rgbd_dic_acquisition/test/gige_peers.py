@@ -48,6 +48,10 @@ class Peer:
         if self._speaks:
             assert "listens" in self._process.stdout.readline()
 
+    @property
+    def pid(self) -> int:
+        return self._process.pid
+
     def kill(self) -> None:
         self._process.kill()
         self._process.communicate()
@@ -79,12 +83,15 @@ def aravis_camera(serial: str = "GV42", lost_per_thousand: float = 0.0) -> Peer:
     return Peer(PROGRAM, "--interface", ADDRESS, "--serial", serial, "--gvsp-lost-ratio", str(lost_per_thousand))
 
 
-def our_camera(images: np.ndarray, folder: Path, *options: str, rate_hz: float = 60.0) -> Peer:
-    """The same with these images (N, rows, cols); what it sent is in `sent(folder)`."""
-    np.save(folder / "images.npy", images)
+def our_camera(images: np.ndarray | Path, folder: Path, *options: str, rate_hz: float = 60.0) -> Peer:
+    """The same with these images (N, rows, cols), or those of a file; what it sent is in `sent(folder)`."""
+    path = images
+    if isinstance(images, np.ndarray):
+        path = folder / "images.npy"
+        np.save(path, images)
     module = "rgbd_dic_acquisition.simulator.gige_camera"
     given = ("--address", ADDRESS, "--rate", str(rate_hz), "--log", str(folder / "sent.csv"))
-    return Peer(sys.executable, "-m", module, str(folder / "images.npy"), *given, *options, speaks=True)
+    return Peer(sys.executable, "-m", module, str(path), *given, *options, speaks=True)
 
 
 def sent(folder: Path) -> np.ndarray:

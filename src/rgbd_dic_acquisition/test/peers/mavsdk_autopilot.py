@@ -1,8 +1,8 @@
 """An autopilot on the MAVLink implementation of MAVSDK, which shares no code with pymavlink.
 
-It flies `flight_truth`, counts its own time from its start with a drift, sends attitude and time late by a fixed
-delay as one that has much else to do, answers TIMESYNC at once, and sets the rate of ATTITUDE_QUATERNION when it is
-told to.
+It flies `flight_truth`, or plays a file there and back by the host's clock. It counts its own time from its start with a
+drift, sends attitude and time late by a fixed delay as one that has much else to do, answers TIMESYNC at once, and sets
+the rate of ATTITUDE_QUATERNION when it is told to.
 """
 
 from __future__ import annotations
@@ -14,7 +14,9 @@ import signal
 import threading
 import time
 from collections import deque
+from pathlib import Path
 
+import numpy as np
 from flight_truth import PITCH_RAD, ROLL_RAD, YAW_RATE_RAD_S, yaw_rad
 from mavsdk import ComponentType, Configuration, Mavsdk
 from mavsdk.plugins.mavlink_direct_server import MavlinkDirectServer, MavlinkMessage
@@ -27,6 +29,8 @@ class Autopilot:
         self.options = options
         self.start_ns = time.time_ns()
         self.rate_hz = options.rate_hz
+        self.played = None if options.played is None else np.load(options.played)
+        self.log = None if options.log is None else options.log.open("a", buffering=1)
         configuration = Configuration.create_with_component_type(ComponentType.AUTOPILOT)
         self.mavsdk = Mavsdk(configuration)
         self.mavsdk.add_any_connection_with_handle(options.url)
@@ -57,6 +61,12 @@ class Autopilot:
 
     def attitude(self, host_ns: int) -> tuple[str, dict[str, object]]:
         boot_ms = self.boot_ns(host_ns) // 1_000_000
+        if self.played is not None:
+            q = played_at(self.played, self.options.played_ns, host_ns)
+            if self.log is not None:
+                self.log.write(",".join(map(str, (host_ns, *q))) + "\n")
+            numbers = dict(zip(("q1", "q2", "q3", "q4"), q, strict=True))
+            return "ATTITUDE_QUATERNION", {"time_boot_ms": boot_ms, **numbers, **dict.fromkeys(body_rates(), 0.0)}
         yaw = math.remainder(yaw_rad(host_ns), 2 * math.pi)
         rates = body_rates()
         if self.options.message == "ATTITUDE":
@@ -84,6 +94,13 @@ class Autopilot:
                 _, name, fields = waiting.popleft()
                 self.send(name, **fields)
             time.sleep(0.0005)
+
+
+def played_at(quaternions: np.ndarray, there_ns: int, host_ns: int) -> tuple[float, ...]:
+    """The one of (N, 4) that is shown at a host time, there and back."""
+    phase_ns = host_ns % (2 * there_ns)
+    part = min(phase_ns, 2 * there_ns - phase_ns) / there_ns
+    return tuple(quaternions[round(part * (len(quaternions) - 1))].tolist())
 
 
 def body_rates() -> dict[str, float]:
@@ -116,6 +133,9 @@ def main() -> None:
     parser.add_argument("--delay-s", type=float, default=0.0, help="from an attitude to its sending")
     parser.add_argument("--boot-s", type=float, default=100.0, help="its own time at the start")
     parser.add_argument("--drift", type=float, default=50e-6)
+    parser.add_argument("--played", type=Path, help="(N, 4) w, x, y, z as a .npy file, there and back; rates are 0")
+    parser.add_argument("--played-ns", type=int, help="from the first of them to the last")
+    parser.add_argument("--log", type=Path, help="file for a line `host time,w,x,y,z` on each attitude that is played")
     autopilot = Autopilot(parser.parse_args())
     stop = threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: stop.set())

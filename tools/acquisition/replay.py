@@ -1,0 +1,87 @@
+"""The recording through the method, against the truth of the images that the camera showed."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+from dataclasses import dataclass
+
+import numpy as np
+import yaml
+from accounting import HALF_EXPOSURE_NS, Account
+from numpy.typing import NDArray
+from rendered_flight import RenderedFlight
+from rgbd_dic_processing.core.crack import CrackOpening
+from rgbd_dic_processing.core.settings import ProcessingSettings
+from rgbd_dic_processing.results import CSV_NAME, compare, read_openings, read_truth
+from session import Flown
+
+# Half of an opening's variance is the noise of the reference image, which is one draw for the whole flight; the other
+# half is drawn anew in each image. If that one draw is three standard deviations off, the RMS is sqrt(9/2 + 1/2).
+EXPLAINED = math.sqrt(5.0)
+PAIRING_NS = 2_000_000  # which the stamps of a pair may be apart from the moments of its frames
+
+
+@dataclass(frozen=True)
+class Pairing:
+    """Time between the images and their ToF frames.
+
+    Attributes:
+        offsets_s: by the stamps, of images that have one.
+        unpaired: images that have none.
+        worst_error_s: largest difference of an offset to what the peers wrote down.
+        mispaired: images with another ToF frame nearer, by more than stamps may be off.
+    """
+
+    offsets_s: NDArray[np.float64]
+    unpaired: int
+    worst_error_s: float
+    mispaired: int
+
+
+@dataclass(frozen=True)
+class Replayed:
+    """What the method made of the recording: openings, the range of the truth, the RMS error and what explains it."""
+
+    openings: int
+    valid: int
+    range_m: float
+    rms_m: float
+    bound_m: float
+    pairing: Pairing
+
+
+def replay(
+    flown: Flown, rendered: RenderedFlight, settings: ProcessingSettings, camera: Account, tof: Account
+) -> Replayed:
+    """Run `rgbd-dic process` on the bag, and compare."""
+    truth, chosen, out = flown.folder / "truth.csv", flown.folder / "settings.yaml", flown.folder / "replayed"
+    opening_m = {stamp: rendered.flight.crack(rendered.image_time_s(k)).opening_m for stamp, k in camera.index.items()}
+    rows = [f"{stamp},{1e3 * metres:.9f}" for stamp, metres in opening_m.items()]
+    truth.write_text("\n".join(["stamp_ns,opening_mm", *rows]) + "\n")
+    chosen.write_text(yaml.safe_dump(settings.as_dict()))
+    given = {"regions": rendered.regions, "calibration": rendered.calibration, "truth": truth, "settings": chosen}
+    words = [word for name, path in {**given, "out": out}.items() for word in (f"--{name}", str(path))]
+    subprocess.run(["rgbd-dic", "process", str(flown.bag), *words], check=True)
+    openings = read_openings(out / CSV_NAME)
+    compared = compare(openings, read_truth(truth))[0]
+    valid = [opening for opening in openings if opening.valid]
+    stated_m = math.sqrt(np.mean([opening.u_opening_m**2 for opening in valid]))
+    shown_m = [opening_m[opening.stamp_ns] for opening in valid]
+    pairing = _pairing(openings, camera, tof)
+    return Replayed(len(openings), len(valid), float(np.ptp(shown_m)), compared.rms_m, EXPLAINED * stated_m, pairing)
+
+
+def _pairing(openings: list[CrackOpening], camera: Account, tof: Account) -> Pairing:
+    tof_stamps = np.array(sorted(tof.true_ns), np.int64)
+    tof_moments = np.array([tof.true_ns[int(stamp)] for stamp in tof_stamps], np.int64)
+    paired = [opening for opening in openings if math.isfinite(opening.depth_offset_s)]
+    errors, mispaired = [], 0
+    for opening in paired:
+        exposed_ns = camera.true_ns[opening.stamp_ns] + HALF_EXPOSURE_NS
+        partner = np.argmin(np.abs(opening.stamp_ns - round(1e9 * opening.depth_offset_s) - tof_stamps))
+        true_offset_ns = int(exposed_ns - tof_moments[partner])
+        errors.append(abs(opening.depth_offset_s - 1e-9 * true_offset_ns))
+        mispaired += bool(np.min(np.abs(exposed_ns - tof_moments)) < abs(true_offset_ns) - PAIRING_NS)
+    offsets = np.array([opening.depth_offset_s for opening in paired])
+    return Pairing(offsets, len(openings) - len(paired), max(errors), mispaired)

@@ -1,0 +1,109 @@
+"""`make test-acquisition`: a flight through the real protocols into a bag, and the bag through the method.
+
+A GigE Vision camera, a ToF camera behind a GenTL producer and an autopilot on MAVSDK play one rendered flight. The
+nodes read, measure and record it; each peer fails once and comes back. Then the recording is held against what the peers
+wrote down that they sent, and measured. The exit code is 1 if a frame was lost outside the faults, if a stamp is beyond
+its stated uncertainty, if the error of the opening is more than the simulated noise explains, or if a fault was told or
+mended too late.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import os
+import shutil
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from rendered_flight import RenderedFlight
+from rgbd_dic_acquisition.simulator.flight import FlightSettings
+from rgbd_dic_processing.core.settings import ProcessingSettings
+
+ROOT = Path(__file__).parents[2]
+sys.path += [str(ROOT / "tools/docs"), str(ROOT / "src/rgbd_dic_acquisition/test")]
+from accounting import Recorded, account  # noqa: E402 - what they import is found by the line above
+from blocks import replace_block  # noqa: E402
+from fake_blaze import compiler  # noqa: E402
+from gige_peers import why_not  # noqa: E402
+from replay import replay  # noqa: E402
+from report import failures, tables  # noqa: E402
+from session import AUTOPILOT, CAMERA, NODES, TOF, Plan, fly  # noqa: E402
+
+OUT = ROOT / "results/acquisition"
+DOCUMENT = ROOT / "docs/payload.md"
+
+
+@dataclass(frozen=True)
+class Size:
+    """Of the session: what is rendered, what is measured, how long it flies."""
+
+    name: str
+    flight: dict
+    processing: dict
+    seconds: float
+    faults: tuple[tuple[float, float], ...]
+
+
+FULL = Size(
+    "full",
+    {
+        "duration_s": 4.0,
+        "camera": {"width_px": 1440, "height_px": 1080},
+        "tof": {"width_px": 640, "height_px": 480},
+    },
+    {"correlation": {"step": 26}},  # 1,500 subsets
+    60.0,
+    ((10.0, 14.0), (25.0, 29.0), (40.0, 44.0)),
+)
+QUICK = Size("quick", {"duration_s": 2.0}, {}, 20.0, ((4.0, 6.0), (9.0, 11.0), (14.0, 16.0)))
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="20 s at 480 x 360 and 160 x 120 pixels; nothing is timed")
+    parser.add_argument("--keep", action="store_true", help="keep the recording")
+    parser.add_argument("--document", action="store_true", help="write the tables into docs/payload.md")
+    parser.add_argument("--out", type=Path, default=OUT, help="folder for it all (default: results/acquisition)")
+    given = parser.parse_args()
+    if missing := lacking():
+        print(missing, file=sys.stderr)
+        return 2
+    size = QUICK if given.quick else FULL
+    os.environ.setdefault("ROS_DOMAIN_ID", "72")
+    folder = given.out / size.name
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    rendered = RenderedFlight(FlightSettings.from_mapping(size.flight), given.out / f"rendered_{size.name}")
+    settings = ProcessingSettings.from_mapping(size.processing)
+    plan = Plan(size.seconds, dict(zip((CAMERA, AUTOPILOT, TOF), size.faults, strict=True)))
+    flown, sent = fly(rendered, settings, plan, folder)
+    recorded = Recorded(flown, sent, rendered)
+    accounts = {peer: account(peer, flown, sent[peer], recorded, rendered) for peer in NODES}
+    measured = replay(flown, rendered, settings, accounts[CAMERA], accounts[TOF])
+    report = tables(flown, recorded, accounts, measured)
+    (folder / "report.md").write_text(report)
+    print(f"\n{report}")
+    if not given.keep:
+        shutil.rmtree(folder / "bag")
+    if given.document:
+        DOCUMENT.write_text(replace_block(DOCUMENT.read_text(), "acquisition", report))
+    failed = failures(accounts, measured, timed=not given.quick)
+    for failure in failed:
+        print(f"FAILED: {failure}", file=sys.stderr)
+    return 1 if failed else 0
+
+
+def lacking() -> str:
+    """What must be installed first, in words; empty if nothing."""
+    if reason := why_not():
+        return f"{reason} (docs/payload.md)"
+    if compiler() is None:
+        return "no C++ compiler: apt-get install g++"
+    modules = {"harvesters": "make setup-tof", "mavsdk": "pip install mavsdk==4.1.0"}
+    return "; ".join(f"{name} is missing: {how}" for name, how in modules.items() if not importlib.util.find_spec(name))
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
