@@ -1,8 +1,8 @@
 # `make demo` and `make test` are all that a newcomer needs; each does the set-up that is missing.
 SHELL := /bin/bash
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-camera setup-tof build demo test test-slow sanitize bench bench-real validate lint format docs
-.PHONY: sample lock clean
+.PHONY: help setup setup-camera setup-tof build demo test test-slow test-acquisition sanitize bench bench-real validate
+.PHONY: lint format docs sample lock clean
 
 run := tools/run
 
@@ -36,6 +36,9 @@ test: build                      ## all tests but the slow ones
 
 test-slow: build                 ## the slow tests too
 	@$(run) python -m pytest $(PYTEST_ARGS)
+
+test-acquisition: build         ## a flight through the real protocols, with faults, and its replay; QUICK=1
+	@$(run) python tools/acquisition/run.py $(if $(QUICK),--quick) $(ACQUISITION_ARGS)
 
 sanitize: build                  ## the kernel's tests under sanitizers (GCC), with many random calls
 	@tools/sanitize.sh

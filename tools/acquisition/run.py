@@ -1,10 +1,10 @@
 """`make test-acquisition`: a flight through the real protocols into a bag, and the bag through the method.
 
 A GigE Vision camera, a ToF camera behind a GenTL producer and an autopilot on MAVSDK play one rendered flight. The
-nodes read, measure and record it; each peer fails once and comes back. Then the recording is held against what the peers
-wrote down that they sent, and measured. The exit code is 1 if a frame was lost outside the faults, if a stamp is beyond
-its stated uncertainty, if the error of the opening is more than the simulated noise explains, or if a fault was told or
-mended too late.
+nodes read, measure and record it; each peer fails once and comes back. Then the recording is held against what the
+peers wrote down that they sent, and measured. The exit code is 1 if a frame was lost outside the faults, if a stamp is
+beyond its stated uncertainty, if the error of the opening is more than the simulated noise explains, or if a fault was
+told or mended too late.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Size:
 FULL = Size(
     "full",
     {
-        "duration_s": 4.0,
+        "duration_s": 2.0,
         "camera": {"width_px": 1440, "height_px": 1080},
         "tof": {"width_px": 640, "height_px": 480},
     },

@@ -168,14 +168,17 @@ def fly(rendered: RenderedFlight, settings: ProcessingSettings, plan: Plan, fold
     files = GraphFiles(rendered.calibration, rendered.regions)
     bag = folder / "bag"
     with FlightPeers(rendered, folder) as peers, _graph(folder) as (watch, processes):
-        nodes = [*sensor_nodes(rendered, peers.port), *processing_nodes(files, settings, ("h_pose",))]
-        nodes.append(recorder(bag, nodes))
-        watch.refuse_second_graph(nodes)
+        sensors, behind = sensor_nodes(rendered, peers.port), processing_nodes(files, settings, ("h_pose",))
+        behind.insert(0, recorder(bag, [*sensors, *behind]))
+        watch.refuse_second_graph([*sensors, *behind])
         watch.subscribe()
-        running = {node.node_name: processes.start(node) for node in nodes}
-        for name in (*NODES.values(), "recorder_node"):
-            go_first(running[name].pid)
-        watch.wait_until_connected(nodes, processes.check)
+        running = {}
+        for nodes in (behind, sensors):  # images come only when all are there to take them
+            for node in nodes:
+                running[node.node_name] = processes.start(node)
+                if node.package == ACQUISITION:
+                    go_first(running[node.node_name].pid)
+            watch.wait_until_connected(nodes, processes.check)
         while not watch.openings:
             processes.check()
             watch.spin(0.1)
@@ -215,9 +218,10 @@ def _graph(folder: Path) -> Iterator[tuple[GraphWatch, GraphProcesses]]:
 
 
 def go_first(process: int) -> None:
-    """Before the processing, as a camera has a processor of its own, and a driver the right of way."""
-    with contextlib.suppress(PermissionError):
-        os.setpriority(os.PRIO_PROCESS, process, FIRST_NICE)
+    """With all its threads: a camera has a processor of its own, and a driver goes before the processing."""
+    for thread in Path(f"/proc/{process}/task").iterdir():
+        with contextlib.suppress(OSError):  # it has ended, or the right is missing
+            os.setpriority(os.PRIO_PROCESS, int(thread.name), FIRST_NICE)
 
 
 def processor_s(process: int) -> float:

@@ -5,18 +5,25 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import storage_mcap
 
 from .errors import BagError
+from .mcap_chunks import decompressed
 from .mcap_end import MAGIC
 from .message_types import typestore
 
 CHUNKS_OVERLAP_S = 2.0  # threads of a recorder write messages that late after one another
+# In place of rosbags' own, which decompress without a limit.
+storage_mcap.DECOMPRESSORS.update(
+    {name: partial(decompressed, compression=name) for name in storage_mcap.DECOMPRESSORS}
+)
 
 
 @dataclass(frozen=True)

@@ -10,20 +10,20 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Iterator
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
 
-import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, McapRecord, Message, Schema
-from mcap.stream_reader import breakup_chunk, get_chunk_data_stream
+from mcap.stream_reader import breakup_chunk
 
 from .bag_metadata import Span
+from .mcap_chunks import decompressed
 from .mcap_end import MAGIC
 
-LARGEST_CHUNK_BYTES = 1 << 30  # what a damaged file may promise before it is disbelieved
 _HEAD = struct.Struct("<BQ")  # opcode and length of every record
 _TAIL = struct.Struct("<QQI8s")  # where the index and its own index begin, its checksum, the magic bytes
 _READ = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK)
@@ -124,12 +124,8 @@ def _parsed(opcode: int, body: bytes) -> list[McapRecord]:
     if opcode == Opcode.MESSAGE:
         return [Message.read(_stream(body), len(body))]
     chunk = Chunk.read(_stream(body))
-    promised = zstandard.frame_content_size(chunk.data) if chunk.compression == "zstd" else chunk.uncompressed_size
-    if not promised == chunk.uncompressed_size <= LARGEST_CHUNK_BYTES:
-        raise ValueError(f"a chunk of {chunk.uncompressed_size} bytes")
-    if get_chunk_data_stream(chunk, validate_crc=True)[1] != chunk.uncompressed_size:
-        raise ValueError("a chunk that is not as long as it says")
-    return breakup_chunk(chunk)
+    raw = decompressed(chunk.data, chunk.uncompressed_size, chunk.compression)
+    return breakup_chunk(replace(chunk, compression="", data=raw), validate_crc=True)
 
 
 def _stream(body: bytes) -> ReadDataStream:

@@ -15,7 +15,10 @@ import numpy as np
 import pytest
 from gige_peers import ADDRESS, aravis_camera, calibrated, needs_aravis, our_camera, sent, wait_for
 from graph_ear import GraphEar
+from open_sockets import open_to_others
+from rgbd_dic_acquisition.bag import BagReader
 from rgbd_dic_acquisition.calibration import Calibration, save_calibration
+from rgbd_dic_acquisition.messages import stamp_to_ns
 from sensor_msgs.msg import CameraInfo
 
 pytestmark = [needs_aravis, pytest.mark.timeout(280)]
@@ -30,9 +33,9 @@ _domains = itertools.count(os.getpid())
 class Flown:
     """A camera_node, and what it publishes."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, domain: int | None = None) -> None:
         save_calibration(Calibration(calibrated(WIDTH, HEIGHT)), folder / "calibration.yaml")
-        domain = 10 + next(_domains) % 90
+        self.domain = domain = domain or 10 + next(_domains) % 90
         settings = {"transport": "gige", "address": ADDRESS, "exposure_s": 1e-4, "gain": 0.0, "packet_bytes": 1500}
         parameters = {"source": "aravis", "calibration": folder / "calibration.yaml"}
         parameters |= {f"aravis.{name}": value for name, value in settings.items()}
@@ -92,9 +95,9 @@ def told():
     print(", ".join(f"{what} {seconds:.3f} s" for what, seconds in measured.items()))
 
 
-def _stamps_are_true(flown: Flown, folder: Path) -> None:
+def _stamps_are_true(stamps: list[int], folder: Path) -> None:
     """Each is the middle of an exposure that there was, to a part of what pairing needs; they only increase."""
-    stamps, exposed = np.array(flown.stamps), np.sort(sent(folder)[:, 1]) + EXPOSURE_NS // 2
+    exposed = np.sort(sent(folder)[:, 1]) + EXPOSURE_NS // 2
     assert np.all(np.diff(stamps) > 0)
     after = np.clip(np.searchsorted(exposed, stamps), 1, exposed.size - 1)
     errors_ns = np.minimum(np.abs(exposed[after] - stamps), np.abs(exposed[after - 1] - stamps))
@@ -113,7 +116,7 @@ def test_a_killed_camera_is_missed_and_taken_up_again(tmp_path, images, told):
         told["images after its return"] = flown.wait_for_images(60)
         flown.wait_until_well()
         assert int(flown.ear.values["reopened"]) >= 1
-        _stamps_are_true(flown, tmp_path)
+        _stamps_are_true(flown.stamps, tmp_path)
 
 
 @pytest.mark.parametrize("frozen_s", [0.7, 5.0])
@@ -128,7 +131,34 @@ def test_a_frozen_camera_is_missed_and_goes_on(tmp_path, images, told, frozen_s)
         camera.thaw()
         told["images after its thaw"] = flown.wait_for_images(60)
         flown.wait_until_well()
-        _stamps_are_true(flown, tmp_path)
+        _stamps_are_true(flown.stamps, tmp_path)
+
+
+def test_a_node_that_is_killed_leaves_the_camera_to_the_next_and_the_recording_whole(tmp_path, images, told):
+    """SIGKILL. Nobody gives the control back, so the camera lets the next one in once it has waited for the first."""
+    with our_camera(images, tmp_path, "--latch") as _, Flown(tmp_path) as flown:
+        given = ["-p", f"output:={tmp_path / 'bag'}", "-p", f"topics:=['{TOPIC} sensor_msgs/msg/CameraInfo']"]
+        environment = {**os.environ, "ROS_DOMAIN_ID": str(flown.domain), "ROS_LOG_DIR": str(tmp_path / "log")}
+        command = [sys.executable, "-m", "rgbd_dic_acquisition.nodes.recorder_node", "--ros-args", *given]
+        recorder = subprocess.Popen(command, env=environment)
+        try:
+            flown.wait_for_images(60)
+            flown.wait_until_well()
+            file = tmp_path / "bag" / "bag_0.mcap"
+            wait_for(lambda: file.exists(), "the recording")
+            flown.wait_for_images(60)
+            flown.process.kill()
+            with Flown(tmp_path, flown.domain) as second:
+                told["images after the start of the next"] = second.wait_for_images(60)
+                second.wait_until_well()
+        finally:
+            recorder.send_signal(signal.SIGTERM)
+            recorder.wait(15)
+    with BagReader(tmp_path / "bag") as bag:
+        recorded = [stamp_to_ns(message.header.stamp) for *_, message in bag.messages()]
+    heard = {stamp for stamp in (*flown.stamps, *second.stamps) if stamp >= recorded[0]}
+    assert heard <= set(recorded) and any(stamp in heard for stamp in flown.stamps)
+    _stamps_are_true(recorded, tmp_path)
 
 
 def test_dropped_packets_cost_their_images_and_are_told(tmp_path):
@@ -156,7 +186,7 @@ def test_garbage_on_its_ports_harms_nothing(tmp_path, images):
     headers += [bytes.fromhex(text) for text in ("42010002", "00000003", "00000081", "00000083", "00008085")]
     with our_camera(images, tmp_path) as _, Flown(tmp_path) as flown:
         flown.wait_for_images(60)
-        ports, sent_packets = _loopback_ports(flown.process.pid), 0
+        ports, sent_packets = [each.port for each in open_to_others(flown.process.pid)], 0
         assert ports
         end = time.monotonic() + 60
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
@@ -172,14 +202,7 @@ def test_garbage_on_its_ports_harms_nothing(tmp_path, images):
         flown.wait_for_images(60)
         flown.wait_until_well()
         print(f"{sent_packets} packets to ports {ports}; {flown.ear.values}")
-        _stamps_are_true(flown, tmp_path)
-
-
-def _loopback_ports(process: int) -> list[int]:
-    """UDP ports on 127.0.0.1 that a process listens on."""
-    inodes = {os.readlink(link) for link in Path(f"/proc/{process}/fd").iterdir() if link.is_symlink()}
-    rows = [line.split() for line in Path(f"/proc/{process}/net/udp").read_text().splitlines()[1:]]
-    return [int(row[1][9:], 16) for row in rows if row[1][:8] == "0100007F" and f"socket:[{row[9]}]" in inodes]
+        _stamps_are_true(flown.stamps, tmp_path)
 
 
 def test_a_node_that_was_stopped_itself_goes_on(tmp_path, images):
@@ -191,4 +214,4 @@ def test_a_node_that_was_stopped_itself_goes_on(tmp_path, images):
         flown.wait_for_images(60)
         flown.wait_until_well()
         assert flown.ear.values["reopened"] == "0"
-        _stamps_are_true(flown, tmp_path)
+        _stamps_are_true(flown.stamps, tmp_path)

@@ -12,7 +12,7 @@ from rclpy.node import Node
 
 MATCHED = "matched subscriptions"
 PERIOD_S = 1.0
-SOONEST_S = 0.1  # after another, for a change
+SOONEST_S = 0.1  # after another, for a change; it goes out with the next `warn` or `ok` after that
 REPEAT_WARNING_S = 5.0
 
 
@@ -67,7 +67,7 @@ class Diagnostics:
         self._counters: Counter[str] = Counter()
         self._told: dict[str, str] = {}
         self._publishers: list[WatchedPublisher] = []
-        self._level, self._problem = DiagnosticStatus.OK, ""
+        self._level, self._problem, self._untold = DiagnosticStatus.OK, "", False
         self._logged_at = self._sent_at = float("-inf")
         self._output = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._timer = node.create_timer(PERIOD_S, self._publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -114,13 +114,13 @@ class Diagnostics:
         return True
 
     def _set(self, level: bytes, problem: str) -> None:
-        changed = (level, problem) != (self._level, self._problem)
+        self._untold = self._untold or (level, problem) != (self._level, self._problem)
         self._level, self._problem = level, problem
-        if changed and time.monotonic() - self._sent_at > SOONEST_S:
+        if self._untold and time.monotonic() - self._sent_at > SOONEST_S:
             self._publish()
 
     def _publish(self) -> None:
-        self._sent_at = time.monotonic()
+        self._sent_at, self._untold = time.monotonic(), False
         message = DiagnosticArray()
         message.header.stamp = self._node.get_clock().now().to_msg()
         message.status = [

@@ -87,9 +87,11 @@ def _close(node: Node, executor: Any) -> None:
 
 def prepare_process() -> None:
     """Defaults that the user's environment overrides, and an allocator that keeps the memory of images."""
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    reach = os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    alone = reach == "LOCALHOST" and not os.environ.get("ROS_STATIC_PEERS")
+    name = "fastdds_loopback.xml" if alone else "fastdds.xml"
     try:
-        profile = Path(get_package_share_directory("rgbd_dic_acquisition"), "config", "fastdds.xml")
+        profile = Path(get_package_share_directory("rgbd_dic_acquisition"), "config", name)
     except (PackageNotFoundError, LookupError):
         profile = None
     if profile is not None and profile.is_file():

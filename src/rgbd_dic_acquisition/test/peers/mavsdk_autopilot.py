@@ -1,8 +1,8 @@
 """An autopilot on the MAVLink implementation of MAVSDK, which shares no code with pymavlink.
 
-It flies `flight_truth`, or plays a file there and back by the host's clock. It counts its own time from its start with a
-drift, sends attitude and time late by a fixed delay as one that has much else to do, answers TIMESYNC at once, and sets
-the rate of ATTITUDE_QUATERNION when it is told to.
+It flies `flight_truth`, or plays a file there and back by the host's clock. It counts its own time from its start with
+a drift, sends attitude and time late by a fixed delay as one that has much else to do, answers TIMESYNC at once, and
+sets the rate of ATTITUDE_QUATERNION when it is told to.
 """
 
 from __future__ import annotations
