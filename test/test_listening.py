@@ -61,6 +61,7 @@ def test_told_to_reach_other_computers_a_node_listens_for_them(tmp_path: Path) -
     """Otherwise the test above would find nothing wrong where nothing can be."""
     processes = Processes(tmp_path)
     processes._environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SUBNET"
+    processes._environment.pop("FASTRTPS_DEFAULT_PROFILES_FILE", None)
     try:
         node = processes.node("recorder_node", output=str(tmp_path / "bag"))
         _wait_for(node, "recording into")

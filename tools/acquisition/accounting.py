@@ -68,17 +68,26 @@ class Account:
 
 
 class Recorded:
-    """What is in the bag: stamps of each topic, device times, attitudes, what the nodes said; contents are compared."""
+    """What is in the bag; the content of each frame is compared with what the peer showed.
+
+    Attributes:
+        stamps: topic -> stamp -> when it was recorded [ns].
+        device_ns: camera or ToF camera -> stamp -> its own time of it [ns].
+        attitudes: (stamp, quaternion x, y, z, w).
+        said: node -> (when it was recorded, level, message, values) of its statuses.
+        other_content: camera or ToF camera -> stamps of frames that were never shown like this.
+        openings: how many images of the part that counts had one in flight.
+    """
 
     def __init__(self, flown: Flown, sent: dict[str, NDArray], rendered: RenderedFlight) -> None:
-        self.stamps: dict[str, dict[int, int]] = defaultdict(dict)  # topic -> stamp -> log time
+        self.stamps: dict[str, dict[int, int]] = defaultdict(dict)
         self.device_ns: dict[str, dict[int, int]] = {CAMERA: {}, TOF: {}}
         self.attitudes: list[tuple[int, NDArray]] = []
         self.said: dict[str, list[tuple[int, int, str, dict[str, str]]]] = defaultdict(list)
         self.other_content: dict[str, list[int]] = {CAMERA: [], TOF: []}
         self.openings = 0
         self._shown = {peer: _by_device_time(sent[peer], peer) for peer in (CAMERA, TOF)}
-        self._rendered = rendered
+        self._rendered, self._flown = rendered, flown
         self._waiting: dict[tuple[str, int], NDArray] = {}
         wanted = {f"/{topic}" for topics in FRAME_TOPICS.values() for topic in topics} | {"/diagnostics"}
         with BagReader(flown.bag) as bag:
@@ -93,7 +102,7 @@ class Recorded:
             return
         stamp_ns = stamp_to_ns(message.header.stamp)
         if topic == "crack_opening":
-            self.openings += 1
+            self.openings += self._flown.begin_ns <= stamp_ns < self._flown.end_ns
             return
         self.stamps[topic][stamp_ns] = log_ns
         if topic == "imu/data":

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
+import resource
 import signal
 import socket
 import subprocess
@@ -186,6 +187,7 @@ def test_garbage_on_its_ports_harms_nothing(tmp_path, images):
     headers += [bytes.fromhex(text) for text in ("42010002", "00000003", "00000081", "00000083", "00008085")]
     with our_camera(images, tmp_path) as _, Flown(tmp_path) as flown:
         flown.wait_for_images(60)
+        before = _resident_bytes(flown.process.pid)
         ports, sent_packets = [each.port for each in open_to_others(flown.process.pid)], 0
         assert ports
         end = time.monotonic() + 60
@@ -201,8 +203,14 @@ def test_garbage_on_its_ports_harms_nothing(tmp_path, images):
                 assert flown.process.poll() is None, flown.log.read_text()
         flown.wait_for_images(60)
         flown.wait_until_well()
-        print(f"{sent_packets} packets to ports {ports}; {flown.ear.values}")
+        grown = _resident_bytes(flown.process.pid) - before
+        print(f"{sent_packets} packets to ports {ports}, {grown / 1e6:.1f} MB more; {flown.ear.values}")
+        assert grown < 50_000_000  # of which DDS and the allocator take some in any case
         _stamps_are_true(flown.stamps, tmp_path)
+
+
+def _resident_bytes(process: int) -> int:
+    return int(Path(f"/proc/{process}/statm").read_text().split()[1]) * resource.getpagesize()
 
 
 def test_a_node_that_was_stopped_itself_goes_on(tmp_path, images):
