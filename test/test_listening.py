@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from autopilot_peers import free_port
 from gige_peers import ADDRESS, calibrated, needs_aravis, our_camera
-from open_sockets import beyond_loopback, open_to_others
+from open_sockets import heard_beyond_loopback, open_sockets
 from rgbd_dic_acquisition.calibration import Calibration, save_calibration
 from system import ROOT
 from test_faults import playing, processes_of, start, wait_for
@@ -25,8 +25,8 @@ def test_a_replay_with_its_page(tmp_path: Path) -> None:
         wait_for(lambda: playing(tmp_path / "run"), "the player")
         running = {**processes_of(tmp_path / "run"), "rgbd-dic": graph.pid}
         assert len(running) == 9
-        assert all(open_to_others(process) for process in running.values()), "each takes part in the graph"
-        assert {name: found for name, process in running.items() if (found := beyond_loopback(process))} == {}
+        assert all(open_sockets(process) for process in running.values()), "each takes part in the graph"
+        assert heard_beyond_loopback(running) == {}
     finally:
         graph.send_signal(signal.SIGTERM)
         graph.communicate(timeout=40)
@@ -50,9 +50,10 @@ def test_the_sensors_and_the_recorder(tmp_path: Path) -> None:
             }
             _wait_for(running["camera"], "camera runs")
             _wait_for(running["recorder"], "recording into")
-            ports = {name: [each.port for each in open_to_others(p.pid)] for name, p in running.items()}
+            numbers = {name: process.pid for name, process in running.items()}
+            ports = {name: [each.port for each in open_sockets(number)] for name, number in numbers.items()}
             assert 14550 in ports["mavlink"] and len(ports["camera"]) > len(ports["recorder"])
-            assert {name: found for name, p in running.items() if (found := beyond_loopback(p.pid))} == {}
+            assert heard_beyond_loopback(numbers) == {}
     finally:
         processes.end()
 
@@ -65,7 +66,7 @@ def test_told_to_reach_other_computers_a_node_listens_for_them(tmp_path: Path) -
     try:
         node = processes.node("recorder_node", output=str(tmp_path / "bag"))
         _wait_for(node, "recording into")
-        assert beyond_loopback(node.pid)
+        assert heard_beyond_loopback({"recorder": node.pid})
     finally:
         processes.end()
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from rgbd_dic_acquisition.bag import BagReader
 from rgbd_dic_acquisition.messages import image_from_message, stamp_to_ns
 from rgbd_dic_acquisition.simulator.motion import attitude
 from scipy.spatial.transform import Rotation
-from session import AUTOPILOT, CAMERA, DELIVERY_S, EXPOSURE_S, NODES, PERIODS_S, TOF, Flown
+from session import AUTOPILOT, BAG, CAMERA, DELIVERY_S, EXPOSURE_S, NODES, PERIODS_S, TOF, Flown, sent
 
 HALF_EXPOSURE_NS = round(EXPOSURE_S * 1e9 / 2)
 NEAR_NS = 500_000_000  # no stamp is so wrong that an attitude is not found within this
@@ -79,18 +80,18 @@ class Recorded:
         openings: how many images of the part that counts had one in flight.
     """
 
-    def __init__(self, flown: Flown, sent: dict[str, NDArray], rendered: RenderedFlight) -> None:
+    def __init__(self, folder: Path, flown: Flown, rendered: RenderedFlight) -> None:
         self.stamps: dict[str, dict[int, int]] = defaultdict(dict)
         self.device_ns: dict[str, dict[int, int]] = {CAMERA: {}, TOF: {}}
         self.attitudes: list[tuple[int, NDArray]] = []
         self.said: dict[str, list[tuple[int, int, str, dict[str, str]]]] = defaultdict(list)
         self.other_content: dict[str, list[int]] = {CAMERA: [], TOF: []}
         self.openings = 0
-        self._shown = {peer: _by_device_time(sent[peer], peer) for peer in (CAMERA, TOF)}
+        self._shown = {peer: _by_device_time(sent(folder, peer), peer) for peer in (CAMERA, TOF)}
         self._rendered, self._flown = rendered, flown
         self._waiting: dict[tuple[str, int], NDArray] = {}
         wanted = {f"/{topic}" for topics in FRAME_TOPICS.values() for topic in topics} | {"/diagnostics"}
-        with BagReader(flown.bag) as bag:
+        with BagReader(folder / BAG) as bag:
             for topic, log_ns, message in bag.messages(sorted(wanted | {"/crack_opening"})):
                 self._take(topic.lstrip("/"), log_ns, message)
 
@@ -135,9 +136,9 @@ class Recorded:
         return self._shown[peer].get(self.device_ns[peer].get(stamp_ns, -1))
 
 
-def account(peer: str, flown: Flown, sent: NDArray, recorded: Recorded, rendered: RenderedFlight) -> Account:
+def account(peer: str, folder: Path, flown: Flown, recorded: Recorded, rendered: RenderedFlight) -> Account:
     """All about one peer."""
-    made = Account()
+    made, written = Account(), sent(folder, peer)
     whole = set.intersection(*(set(recorded.stamps[topic]) for topic in FRAME_TOPICS[peer]))
     found = {}
     for stamp_ns in sorted(whole):
@@ -145,21 +146,21 @@ def account(peer: str, flown: Flown, sent: NDArray, recorded: Recorded, rendered
         if known is not None:
             found[stamp_ns], made.index[stamp_ns] = known
     if peer == AUTOPILOT:
-        found = _attitudes(sent, recorded, rendered, made)
+        found = _attitudes(written, recorded, rendered, made)
     made.true_ns = found
     made.wrong += [f"{stamp} belongs to no frame that was sent" for stamp in whole if stamp not in found]
     if peer != AUTOPILOT:
         made.wrong += [f"{stamp} has another content" for stamp in recorded.other_content[peer]]
     _judge_stamps(peer, made, recorded)
-    _count(peer, made, flown, sent, recorded)
+    _count(peer, made, flown, written, recorded)
     return made
 
 
-def _attitudes(sent: NDArray, recorded: Recorded, rendered: RenderedFlight, made: Account) -> dict[int, int]:
+def _attitudes(written: NDArray, recorded: Recorded, rendered: RenderedFlight, made: Account) -> dict[int, int]:
     """Stamp -> moment: of the attitudes that were sent at about that time, the one that is the same."""
-    moments_ns = sent[:, 0]
+    moments_ns = written[:, 0]
     R_enu_ned, R_frd_flu = Rotation.from_matrix(R_NED_ENU).inv(), Rotation.from_matrix(R_FLU_FRD).inv()
-    flown = R_enu_ned * Rotation.from_quat(np.roll(sent[:, 1:], -1, axis=1)) * R_frd_flu
+    flown = R_enu_ned * Rotation.from_quat(np.roll(written[:, 1:], -1, axis=1)) * R_frd_flu
     found = {}
     for stamp_ns, quaternion in recorded.attitudes:
         near = np.flatnonzero(np.abs(moments_ns - stamp_ns) < NEAR_NS)
@@ -213,8 +214,8 @@ def _stated(peer: str, recorded: Recorded) -> tuple[NDArray, NDArray, NDArray]:
     return np.array(times), np.array(stated), np.array(by_arrival)
 
 
-def _count(peer: str, made: Account, flown: Flown, sent: NDArray, recorded: Recorded) -> None:
-    moments = np.sort(sent[:, 0 if peer == AUTOPILOT else 1].astype(np.int64))
+def _count(peer: str, made: Account, flown: Flown, written: NDArray, recorded: Recorded) -> None:
+    moments = np.sort(written[:, 0 if peer == AUTOPILOT else 1].astype(np.int64))
     moments = moments[(moments >= flown.begin_ns) & (moments < flown.end_ns)]
     log_ns = {moment: recorded.stamps[FRAME_TOPICS[peer][0]][stamp] for stamp, moment in made.true_ns.items()}
     got = np.array(sorted(log_ns), np.int64)
@@ -239,7 +240,7 @@ def _first_after(got: NDArray, ill_ns: int, well_ns: int) -> int:
     return later[0] if later else np.iinfo(np.int64).max
 
 
-def _by_device_time(sent: NDArray, peer: str) -> dict[int, tuple[int, int]]:
+def _by_device_time(written: NDArray, peer: str) -> dict[int, tuple[int, int]]:
     """Device time of a stamp -> (moment, index). The camera's stamps are of the middle of the exposure."""
     later_ns = HALF_EXPOSURE_NS if peer == CAMERA else 0
-    return {int(device) + later_ns: (int(host), int(index)) for _, host, device, index in sent}
+    return {int(device) + later_ns: (int(host), int(index)) for _, host, device, index in written}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import subprocess
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import yaml
@@ -14,7 +15,7 @@ from rendered_flight import RenderedFlight
 from rgbd_dic_processing.core.crack import CrackOpening
 from rgbd_dic_processing.core.settings import ProcessingSettings
 from rgbd_dic_processing.results import CSV_NAME, compare, read_openings, read_truth
-from session import Flown
+from session import BAG
 
 # Half of an opening's variance is the noise of the reference image, which is one draw for the whole flight; the other
 # half is drawn anew in each image. If that one draw is three standard deviations off, the RMS is sqrt(9/2 + 1/2).
@@ -52,17 +53,17 @@ class Replayed:
 
 
 def replay(
-    flown: Flown, rendered: RenderedFlight, settings: ProcessingSettings, camera: Account, tof: Account
+    folder: Path, rendered: RenderedFlight, settings: ProcessingSettings, camera: Account, tof: Account
 ) -> Replayed:
     """Run `rgbd-dic process` on the bag, and compare."""
-    truth, chosen, out = flown.folder / "truth.csv", flown.folder / "settings.yaml", flown.folder / "replayed"
+    truth, chosen, out = folder / "truth.csv", folder / "settings.yaml", folder / "replayed"
     opening_m = {stamp: rendered.flight.crack(rendered.image_time_s(k)).opening_m for stamp, k in camera.index.items()}
     rows = [f"{stamp},{1e3 * metres:.9f}" for stamp, metres in opening_m.items()]
     truth.write_text("\n".join(["stamp_ns,opening_mm", *rows]) + "\n")
     chosen.write_text(yaml.safe_dump(settings.as_dict()))
     given = {"regions": rendered.regions, "calibration": rendered.calibration, "truth": truth, "settings": chosen}
     words = [word for name, path in {**given, "out": out}.items() for word in (f"--{name}", str(path))]
-    subprocess.run(["rgbd-dic", "process", str(flown.bag), *words], check=True)
+    subprocess.run(["rgbd-dic", "process", str(folder / BAG), *words], check=True)
     openings = read_openings(out / CSV_NAME)
     compared = compare(openings, read_truth(truth))[0]
     valid = [opening for opening in openings if opening.valid]

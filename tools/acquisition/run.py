@@ -29,7 +29,7 @@ from fake_blaze import compiler  # noqa: E402
 from gige_peers import why_not  # noqa: E402
 from replay import replay  # noqa: E402
 from report import failures, tables  # noqa: E402
-from session import AUTOPILOT, CAMERA, NODES, TOF, Plan, fly  # noqa: E402
+from session import CAMERA, NODES, TOF, Flown, Plan, fly  # noqa: E402
 
 OUT = ROOT / "results/acquisition"
 DOCUMENT = ROOT / "docs/payload.md"
@@ -42,8 +42,7 @@ class Size:
     name: str
     flight: dict
     processing: dict
-    seconds: float
-    faults: tuple[tuple[float, float], ...]
+    plan: Plan
 
 
 FULL = Size(
@@ -54,16 +53,16 @@ FULL = Size(
         "tof": {"width_px": 640, "height_px": 480},
     },
     {"correlation": {"step": 26}},  # 1,500 subsets
-    60.0,
-    ((10.0, 14.0), (25.0, 29.0), (40.0, 44.0)),
+    Plan(well_s=12.0, gone_s=4.0),
 )
-QUICK = Size("quick", {"duration_s": 2.0}, {}, 20.0, ((4.0, 6.0), (9.0, 11.0), (14.0, 16.0)))
+QUICK = Size("quick", {"duration_s": 2.0}, {}, Plan(well_s=3.5, gone_s=2.0))
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="20 s at 480 x 360 and 160 x 120 pixels; nothing is timed")
     parser.add_argument("--keep", action="store_true", help="keep the recording")
+    parser.add_argument("--judge", action="store_true", help="do not fly; judge the recording that was kept")
     parser.add_argument("--document", action="store_true", help="write the tables into docs/payload.md")
     parser.add_argument("--out", type=Path, default=OUT, help="folder for it all (default: results/acquisition)")
     given = parser.parse_args()
@@ -73,19 +72,19 @@ def main() -> int:
     size = QUICK if given.quick else FULL
     os.environ.setdefault("ROS_DOMAIN_ID", "72")
     folder = given.out / size.name
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir(parents=True)
+    if not given.judge:
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir(parents=True)
     rendered = RenderedFlight(FlightSettings.from_mapping(size.flight), given.out / f"rendered_{size.name}")
     settings = ProcessingSettings.from_mapping(size.processing)
-    plan = Plan(size.seconds, dict(zip((CAMERA, AUTOPILOT, TOF), size.faults, strict=True)))
-    flown, sent = fly(rendered, settings, plan, folder)
-    recorded = Recorded(flown, sent, rendered)
-    accounts = {peer: account(peer, flown, sent[peer], recorded, rendered) for peer in NODES}
-    measured = replay(flown, rendered, settings, accounts[CAMERA], accounts[TOF])
+    flown = Flown.load(folder) if given.judge else fly(rendered, settings, size.plan, folder)
+    recorded = Recorded(folder, flown, rendered)
+    accounts = {peer: account(peer, folder, flown, recorded, rendered) for peer in NODES}
+    measured = replay(folder, rendered, settings, accounts[CAMERA], accounts[TOF])
     report = tables(flown, recorded, accounts, measured)
     (folder / "report.md").write_text(report)
     print(f"\n{report}")
-    if not given.keep:
+    if not (given.keep or given.judge):
         shutil.rmtree(folder / "bag")
     if given.document:
         DOCUMENT.write_text(replace_block(DOCUMENT.read_text(), "acquisition", report))

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
+import json
 import os
 import time
 from collections.abc import Callable, Iterator
@@ -44,15 +46,17 @@ OTHER_TYPES = {
 SETTLE_S = 5.0  # in which the clocks are compared
 RUN_OUT_S = 1.0  # after the part that counts, so that what is on its way arrives
 FIRST_NICE = -10  # of sensors and recorder, as docs/payload.md advises, where that may be set
+BAG, FLOWN = "bag", "flown.json"  # in the folder of a session
+SENT = {CAMERA: "sent.csv", TOF: "blaze/sent.csv", AUTOPILOT: "attitudes.csv"}
 TICKS_A_SECOND = os.sysconf("SC_CLK_TCK")
 
 
 @dataclass(frozen=True)
 class Plan:
-    """When each peer fails and comes back, from the beginning of the part that counts [s]."""
+    """How long all is well before each fault and after the last, and how long a peer is gone [s]."""
 
-    seconds: float
-    faults: dict[str, tuple[float, float]]
+    well_s: float
+    gone_s: float
 
 
 @dataclass(frozen=True)
@@ -65,12 +69,22 @@ class Flown:
         cores: node -> processor time over time.
     """
 
-    folder: Path
-    bag: Path
     begin_ns: int
     end_ns: int
     faults: dict[str, tuple[int, int]]
     cores: dict[str, float]
+
+    def save(self, folder: Path) -> None:
+        (folder / FLOWN).write_text(json.dumps(dataclasses.asdict(self), indent=1))
+
+    @classmethod
+    def load(cls, folder: Path) -> Flown:
+        return cls(**json.loads((folder / FLOWN).read_text()))
+
+
+def sent(folder: Path, peer: str) -> np.ndarray:
+    """(N, k): of each frame of a camera number, host and device time, index; of each attitude host time, w to z."""
+    return np.loadtxt(folder / SENT[peer], np.int64 if peer != AUTOPILOT else float, delimiter=",", ndmin=2)
 
 
 class FlightPeers:
@@ -92,11 +106,6 @@ class FlightPeers:
         self.autopilot = self._fly()
         go_first(self.camera.pid)
 
-    def sent(self, peer: str) -> np.ndarray:
-        """(N, k) of each frame: for the cameras number, host time, device time, index; for the autopilot host time."""
-        name = {CAMERA: "sent.csv", TOF: "blaze/sent.csv", AUTOPILOT: "flown.csv"}[peer]
-        return np.loadtxt(self._folder / name, np.int64 if peer != AUTOPILOT else float, delimiter=",", ndmin=2)
-
     def fail(self, peer: str) -> None:
         if peer == CAMERA:
             self.camera.kill()
@@ -116,7 +125,7 @@ class FlightPeers:
 
     def _fly(self, **options: float):
         played = {"played": self._rendered.attitude, "played_ns": self._rendered.played_ns}
-        log = self._folder / "flown.csv"
+        log = self._folder / SENT[AUTOPILOT]
         return self._autopilots.mavsdk(
             f"udpout://{ADDRESS}:{self.port}",
             delay_s=DELIVERY_S,
@@ -163,13 +172,12 @@ def recorder(output: Path, nodes: list[NodeSpec]) -> NodeSpec:
     return NodeSpec(ACQUISITION, "recorder_node", topics, (), parameters=parameters)
 
 
-def fly(rendered: RenderedFlight, settings: ProcessingSettings, plan: Plan, folder: Path) -> tuple[Flown, dict]:
-    """The whole session; what was flown, and what each peer sent."""
+def fly(rendered: RenderedFlight, settings: ProcessingSettings, plan: Plan, folder: Path) -> Flown:
+    """The whole session. The folder has the recording and what each peer wrote down."""
     files = GraphFiles(rendered.calibration, rendered.regions)
-    bag = folder / "bag"
     with FlightPeers(rendered, folder) as peers, _graph(folder) as (watch, processes):
         sensors, behind = sensor_nodes(rendered, peers.port), processing_nodes(files, settings, ("h_pose",))
-        behind.insert(0, recorder(bag, [*sensors, *behind]))
+        behind.insert(0, recorder(folder / BAG, [*sensors, *behind]))
         watch.refuse_second_graph([*sensors, *behind])
         watch.subscribe()
         running = {}
@@ -191,23 +199,31 @@ def fly(rendered: RenderedFlight, settings: ProcessingSettings, plan: Plan, fold
         watch.spin(RUN_OUT_S)
         processes.check()
         processes.end()
-        sent = {peer: peers.sent(peer) for peer in NODES}
-    return Flown(folder, bag, begin_ns, end_ns, faults, cores), sent
+    flown = Flown(begin_ns, end_ns, faults, cores)
+    flown.save(folder)
+    return flown
 
 
 def _carry_out(plan: Plan, peers: FlightPeers, go_on: Callable[[], object]) -> dict[str, tuple[int, int]]:
     """Have the peers fail and come back in their turn; when they did, [ns]."""
-    begun = time.monotonic()
-    events = sorted((at, peer, well) for peer, times in plan.faults.items() for well, at in enumerate(times))
-    done: dict[str, list[int]] = {peer: [] for peer in plan.faults}
-    for at, peer, well in [*events, (plan.seconds, "", 0)]:
-        while time.monotonic() < begun + at:
+
+    def wait(seconds: float) -> None:
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
             go_on()
-        if peer:
-            (peers.come_back if well else peers.fail)(peer)
-            done[peer].append(time.time_ns())
-            print(f"{at:5.1f} s: the {peer} {'is there again' if well else 'is gone'}", flush=True)
-    return {peer: (ill_ns, well_ns) for peer, (ill_ns, well_ns) in done.items()}
+
+    done = {}
+    for peer in NODES:
+        wait(plan.well_s)
+        ill_ns = time.time_ns()
+        peers.fail(peer)
+        print(f"the {peer} is gone", flush=True)
+        wait(plan.gone_s)
+        peers.come_back(peer)
+        done[peer] = (ill_ns, time.time_ns())
+        print(f"the {peer} is there again", flush=True)
+    wait(plan.well_s)
+    return done
 
 
 @contextlib.contextmanager

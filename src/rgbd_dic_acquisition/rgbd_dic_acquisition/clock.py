@@ -6,8 +6,8 @@ offset is the line that supports the cloud of (device time, arrival - device tim
 delivery itself cannot be seen from one side; `fixed_delay_ns` takes it off where it is known.
 
 *Latches.* Where the host can ask the device for its time, the answer belongs to a moment between the question
-and the answer. So every latch bounds the offset from both sides, and half of what is between the two lines is all
-that remains unknown, the delivery of the frames with it. Once a clock is latched, arrivals no longer count.
+and the answer. So every latch bounds the offset from both sides (`clock_bounds`), and half of what all of them leave
+open is what remains unknown, the delivery of the frames with it. Once a clock is latched, arrivals no longer count.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+from .clock_bounds import OffsetBounds
 from .errors import SettingsError
 
 NS = 1_000_000_000
@@ -61,7 +62,7 @@ class HostClock:
     max_rate: float = 500e-6
     restarts: int = 0
     _above: _SupportingLine = field(init=False, repr=False)
-    _below: _SupportingLine = field(init=False, repr=False)  # of the negative offsets; empty until latched
+    _between: OffsetBounds = field(init=False, repr=False)  # empty until latched
     _newest_ns: int | None = field(default=None, init=False, repr=False)
     _last: tuple[int, int] | None = field(default=None, init=False, repr=False)
     _late_since: tuple[int, int] | None = field(default=None, init=False, repr=False)
@@ -77,19 +78,16 @@ class HostClock:
     @property
     def latched(self) -> bool:
         """Whether the stamps come from latches."""
-        return bool(self._below)
+        return bool(self._between)
 
     def latch(self, device_ns: int, before_ns: int, after_ns: int) -> None:
         """Take into account that the device's clock was at `device_ns` between two host times."""
-        if not self.latched:
-            self._forget()  # lines through arrivals
         self._advance(device_ns)
         middle_ns = (before_ns + after_ns) // 2 - device_ns
         if self.latched and abs(middle_ns - self._offset(device_ns)) > STEP_NS + (after_ns - before_ns) / 2:
             self._begin_anew()
             self._advance(device_ns)
-        self._above.add(device_ns, after_ns - device_ns)
-        self._below.add(device_ns, device_ns - before_ns)
+        self._between.add(device_ns, before_ns - device_ns - (self.resolution_ns - 1), after_ns - device_ns)
 
     def stamp(self, device_ns: int, arrival_ns: int) -> HostStamp:
         """Map a device time to host time; without latches its arrival is a sample itself."""
@@ -105,17 +103,15 @@ class HostClock:
         return HostStamp(self._monotone(device_ns, stamp_ns, arrival_ns), self._uncertainty(device_ns))
 
     def _offset(self, device_ns: int) -> float:
-        above = self._above.at(device_ns)
-        return (above - self._below.at(device_ns)) / 2 if self.latched else above
+        return sum(self._between.at(device_ns)) / 2 if self.latched else self._above.at(device_ns)
 
     def _uncertainty(self, device_ns: int) -> float:
-        """Half the gap between the lines, taken as evenly distributed, or the scatter of the lowest arrivals."""
+        """Half of what the latches leave open, taken as evenly distributed, or the scatter of the lowest arrivals."""
         resolution_ns = self.resolution_ns / math.sqrt(12)
         if not self.latched:
             return math.hypot(self._above.scatter(), resolution_ns)
-        gap_ns = self._above.at(device_ns) + self._below.at(device_ns)
-        drift_ns = self._above.rate_limit() * self._above.age(device_ns)
-        return math.hypot(gap_ns / 2 / math.sqrt(3), drift_ns, resolution_ns)
+        low_ns, high_ns = self._between.at(device_ns)
+        return math.hypot((high_ns - low_ns) / 2 / math.sqrt(3), resolution_ns)
 
     def _advance(self, device_ns: int) -> None:
         if self._newest_ns is not None and device_ns < self._newest_ns - RESTART_NS:
@@ -140,7 +136,7 @@ class HostClock:
 
     def _forget(self) -> None:
         self._above = _SupportingLine(self.window_ns, self.max_rate)
-        self._below = _SupportingLine(self.window_ns, self.max_rate)
+        self._between = OffsetBounds(self.window_ns, self.max_rate)
         self._late_since = None
 
     def _monotone(self, device_ns: int, stamp_ns: int, arrival_ns: int) -> int:
@@ -181,15 +177,6 @@ class _SupportingLine:
     def at(self, device_ns: int) -> float:
         """Height of the line [ns]."""
         return min(offset + self._rate * (device_ns - time) for time, offset in self._points)
-
-    def age(self, device_ns: int) -> int:
-        """Time since the newest point [ns]."""
-        return max(device_ns - self._points[-1][0], 0)
-
-    def rate_limit(self) -> float:
-        """How far off the rate can be: the largest there is while none is known, then as the points scatter."""
-        span_ns = self._points[-1][0] - self._points[0][0]
-        return self._max_rate if span_ns < NS else min(self._max_rate, self.scatter() / span_ns)
 
     def scatter(self) -> float:
         """Median height of the points above the line [ns]; infinite from fewer than four."""

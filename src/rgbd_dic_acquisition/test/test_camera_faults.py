@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from gige_peers import ADDRESS, aravis_camera, calibrated, needs_aravis, our_camera, sent, wait_for
 from graph_ear import GraphEar
-from open_sockets import open_to_others
+from open_sockets import open_sockets
 from rgbd_dic_acquisition.bag import BagReader
 from rgbd_dic_acquisition.calibration import Calibration, save_calibration
 from rgbd_dic_acquisition.messages import stamp_to_ns
@@ -188,7 +188,7 @@ def test_garbage_on_its_ports_harms_nothing(tmp_path, images):
     with our_camera(images, tmp_path) as _, Flown(tmp_path) as flown:
         flown.wait_for_images(60)
         before = _resident_bytes(flown.process.pid)
-        ports, sent_packets = [each.port for each in open_to_others(flown.process.pid)], 0
+        ports, sent_packets = [each.port for each in open_sockets(flown.process.pid)], 0
         assert ports
         end = time.monotonic() + 60
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
