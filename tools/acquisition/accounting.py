@@ -17,7 +17,7 @@ from rgbd_dic_acquisition.simulator.motion import attitude
 from scipy.spatial.transform import Rotation
 from session import AUTOPILOT, BAG, CAMERA, DELIVERY_S, EXPOSURE_S, NODES, PERIODS_S, TOF, Flown, sent
 
-HALF_EXPOSURE_NS = round(EXPOSURE_S * 1e9 / 2)
+MIDDLE_NS = -round(EXPOSURE_S * 1e9 / 2)  # of an exposure, from its end, which is what the camera writes down
 NEAR_NS = 500_000_000  # no stamp is so wrong that an attitude is not found within this
 SAME_RAD = 3e-6  # single precision on the way
 TRUE_RAD = 1e-4  # and steps of the table of attitudes
@@ -178,7 +178,7 @@ def _attitudes(written: NDArray, recorded: Recorded, rendered: RenderedFlight, m
 def _judge_stamps(peer: str, made: Account, recorded: Recorded) -> None:
     """Each within what the node says of its clock at that time."""
     stamps = np.array(sorted(made.true_ns), np.int64)
-    late_ns = HALF_EXPOSURE_NS if peer == CAMERA else 0
+    late_ns = MIDDLE_NS if peer == CAMERA else 0
     made.errors_ns = np.array([stamp - made.true_ns[int(stamp)] - late_ns for stamp in stamps], float)
     times, stated, by_arrival = _stated(peer, recorded)
     after = np.clip(np.searchsorted(times, stamps), 1, max(times.size - 1, 1))
@@ -242,5 +242,5 @@ def _first_after(got: NDArray, ill_ns: int, well_ns: int) -> int:
 
 def _by_device_time(written: NDArray, peer: str) -> dict[int, tuple[int, int]]:
     """Device time of a stamp -> (moment, index). The camera's stamps are of the middle of the exposure."""
-    later_ns = HALF_EXPOSURE_NS if peer == CAMERA else 0
+    later_ns = MIDDLE_NS if peer == CAMERA else 0
     return {int(device) + later_ns: (int(host), int(index)) for _, host, device, index in written}

@@ -18,8 +18,9 @@ from rgbd_dic_acquisition.simulator.ground_truth import save_regions
 from rgbd_dic_acquisition.simulator.motion import attitude
 from scipy.spatial.transform import Rotation
 
-TOF_RATE_HZ = 20.0
-IMAGE_RATE_HZ = 60.0
+IMAGE_RATE_HZ, TOF_RATE_HZ = 60.0, 20.0
+# Aravis' fake camera exposes whenever the computer's time is a multiple of its period, in whole microseconds.
+IMAGE_PERIOD_NS = 16_666_000
 ATTITUDE_RATE_HZ = 10_000.0  # of the table; the autopilot sends fifty a second of them
 DEPTH_STEP_M = 10e-3 / 65.536  # of Coord3D_C16: 10 m in 16 bits
 # Aviation's axes in those of ROS: north-east-down in east-north-up, forward-right-down in forward-left-up.
@@ -38,10 +39,9 @@ class RenderedFlight:
 
     def __init__(self, settings: FlightSettings, folder: Path) -> None:
         self.settings, self.folder = settings, folder
-        period_ns = round(1e9 / IMAGE_RATE_HZ)
         self.image_count = round(settings.duration_s * IMAGE_RATE_HZ) + 1
         self.depth_count = round(settings.duration_s * TOF_RATE_HZ) + 1
-        self.played_ns = (self.image_count - 1) * period_ns
+        self.played_ns = (self.image_count - 1) * IMAGE_PERIOD_NS
         self.images, self.depth, self.attitude = (folder / name for name in ("images.npy", "depth.bin", "attitude.npy"))
         self.calibration, self.regions = folder / "calibration.yaml", folder / "regions.yaml"
         said = folder / "settings.yaml"

@@ -9,9 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-from accounting import HALF_EXPOSURE_NS, Account
+from accounting import MIDDLE_NS, Account
 from numpy.typing import NDArray
 from rendered_flight import RenderedFlight
+from rgbd_dic_acquisition.simulator.ground_truth import save_regions
 from rgbd_dic_processing.core.crack import CrackOpening
 from rgbd_dic_processing.core.settings import ProcessingSettings
 from rgbd_dic_processing.results import CSV_NAME, compare, read_openings, read_truth
@@ -56,12 +57,13 @@ def replay(
     folder: Path, rendered: RenderedFlight, settings: ProcessingSettings, camera: Account, tof: Account
 ) -> Replayed:
     """Run `rgbd-dic process` on the bag, and compare."""
-    truth, chosen, out = folder / "truth.csv", folder / "settings.yaml", folder / "replayed"
+    truth, regions, chosen, out = (folder / name for name in ("truth.csv", "regions.yaml", "settings.yaml", "replayed"))
     opening_m = {stamp: rendered.flight.crack(rendered.image_time_s(k)).opening_m for stamp, k in camera.index.items()}
     rows = [f"{stamp},{1e3 * metres:.9f}" for stamp, metres in opening_m.items()]
     truth.write_text("\n".join(["stamp_ns,opening_mm", *rows]) + "\n")
     chosen.write_text(yaml.safe_dump(settings.as_dict()))
-    given = {"regions": rendered.regions, "calibration": rendered.calibration, "truth": truth, "settings": chosen}
+    save_regions(rendered.flight, rendered.image_time_s(camera.index[min(camera.index)]), regions)  # of the first image
+    given = {"regions": regions, "calibration": rendered.calibration, "truth": truth, "settings": chosen}
     words = [word for name, path in {**given, "out": out}.items() for word in (f"--{name}", str(path))]
     subprocess.run(["rgbd-dic", "process", str(folder / BAG), *words], check=True)
     openings = read_openings(out / CSV_NAME)
@@ -79,7 +81,7 @@ def _pairing(openings: list[CrackOpening], camera: Account, tof: Account) -> Pai
     paired = [opening for opening in openings if math.isfinite(opening.depth_offset_s)]
     errors, mispaired = [], 0
     for opening in paired:
-        exposed_ns = camera.true_ns[opening.stamp_ns] + HALF_EXPOSURE_NS
+        exposed_ns = camera.true_ns[opening.stamp_ns] + MIDDLE_NS
         partner = np.argmin(np.abs(opening.stamp_ns - round(1e9 * opening.depth_offset_s) - tof_stamps))
         true_offset_ns = int(exposed_ns - tof_moments[partner])
         errors.append(abs(opening.depth_offset_s - 1e-9 * true_offset_ns))

@@ -49,7 +49,7 @@ FULL = Size(
     "full",
     {
         "duration_s": 2.0,
-        "camera": {"width_px": 1440, "height_px": 1080},
+        "camera": {"width_px": 1440, "height_px": 1080, "supersampling": 3},
         "tof": {"width_px": 640, "height_px": 480},
     },
     {"correlation": {"step": 26}},  # 1,500 subsets

@@ -15,7 +15,7 @@ import numpy as np
 from autopilot_peers import Peers, free_port
 from fake_blaze import FakeBlaze, producer
 from gige_peers import ADDRESS, our_camera
-from rendered_flight import IMAGE_RATE_HZ, TOF_RATE_HZ, RenderedFlight
+from rendered_flight import IMAGE_PERIOD_NS, IMAGE_RATE_HZ, TOF_RATE_HZ, RenderedFlight
 from rgbd_dic_processing.core.settings import ProcessingSettings
 from rgbd_dic_processing.graph import (
     ACQUISITION,
@@ -94,7 +94,9 @@ class FlightPeers:
         self._rendered, self._folder = rendered, folder
         self.port = free_port()
         self._closing = contextlib.ExitStack()
-        self.camera = self._closing.enter_context(our_camera(rendered.images, folder, "--latch", rate_hz=IMAGE_RATE_HZ))
+        self.camera = self._closing.enter_context(
+            our_camera(rendered.images, folder, "--latch", rate_hz=1e9 / IMAGE_PERIOD_NS)
+        )
         tof = rendered.settings.tof
         (folder / "blaze").mkdir()
         size = (tof.width_px, tof.height_px)
@@ -146,6 +148,7 @@ def sensor_nodes(rendered: RenderedFlight, port: int) -> list[NodeSpec]:
     """camera_node, tof_node and mavlink_node on the peers."""
     calibration = {"calibration": str(rendered.calibration.resolve())}
     aravis = {"transport": "gige", "address": ADDRESS, "packet_bytes": 9000, "gain": 0.0, "exposure_s": EXPOSURE_S}
+    aravis["stamps"] = "end"  # as this camera sends at once
     tof = {"producer": str(producer()), "frame_rate_hz": TOF_RATE_HZ}
     return [
         _sensor("camera_node", CAMERA_TOPICS, "camera/time_reference", source="aravis", **calibration, aravis=aravis),

@@ -19,8 +19,8 @@ from .mavlink_codec import BAD_DATA, MavlinkCodec
 HEARTBEAT_S = 1.0
 REOPEN_S = 1.0
 ASK_S = 5.0  # between requests for a rate that does not come
-# Attitude is missing after so many of its own periods and so long.
-MISSED_PERIODS, MISSED_S = 3, 0.2
+# Attitude is missing after so many of its own periods and so long; telling it takes some time too.
+MISSED_PERIODS, MISSED_S = 3, 0.15
 
 
 @dataclass(frozen=True)
