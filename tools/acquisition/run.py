@@ -64,7 +64,12 @@ def main() -> int:
     parser.add_argument("--keep", action="store_true", help="keep the recording")
     parser.add_argument("--judge", action="store_true", help="do not fly; judge the recording that was kept")
     parser.add_argument("--document", action="store_true", help="write the tables into docs/payload.md")
-    parser.add_argument("--out", type=Path, default=OUT, help="folder for it all (default: results/acquisition)")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=OUT,
+        help="folder for the session, of 8 GB and 130 MB/s (default: results/acquisition)",
+    )
     given = parser.parse_args()
     if missing := lacking():
         print(missing, file=sys.stderr)
@@ -75,7 +80,7 @@ def main() -> int:
     if not given.judge:
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
-    rendered = RenderedFlight(FlightSettings.from_mapping(size.flight), given.out / f"rendered_{size.name}")
+    rendered = RenderedFlight(FlightSettings.from_mapping(size.flight), OUT / f"rendered_{size.name}")
     settings = ProcessingSettings.from_mapping(size.processing)
     flown = Flown.load(folder) if given.judge else fly(rendered, settings, size.plan, folder)
     recorded = Recorded(folder, flown, rendered)

@@ -106,7 +106,7 @@ class FlightPeers:
         self._autopilots = Peers(folder)
         self._closing.callback(self._autopilots.end)
         self.autopilot = self._fly()
-        go_first(self.camera.pid)
+        give_turn(self.camera.pid, FIRST_NICE)
 
     def fail(self, peer: str) -> None:
         if peer == CAMERA:
@@ -119,7 +119,7 @@ class FlightPeers:
     def come_back(self, peer: str) -> None:
         if peer == CAMERA:
             self.camera.start()
-            go_first(self.camera.pid)
+            give_turn(self.camera.pid, FIRST_NICE)
         elif peer == TOF:
             self.blaze["present"] = 1
         else:
@@ -188,8 +188,11 @@ def fly(rendered: RenderedFlight, settings: ProcessingSettings, plan: Plan, fold
             for node in nodes:
                 running[node.node_name] = processes.start(node)
                 if node.package == ACQUISITION:
-                    go_first(running[node.node_name].pid)
+                    give_turn(running[node.node_name].pid, FIRST_NICE)
             watch.wait_until_connected(nodes, processes.check)
+        for node in behind:
+            if node.package != ACQUISITION:
+                give_turn(running[node.node_name].pid, 0)  # whatever this program was started with
         while not watch.openings:
             processes.check()
             watch.spin(0.1)
@@ -236,11 +239,11 @@ def _graph(folder: Path) -> Iterator[tuple[GraphWatch, GraphProcesses]]:
         yield watch, processes
 
 
-def go_first(process: int) -> None:
-    """With all its threads: a camera has a processor of its own, and a driver goes before the processing."""
+def give_turn(process: int, nice: int) -> None:
+    """To all its threads: a camera has a processor of its own, and a driver goes before the processing."""
     for thread in Path(f"/proc/{process}/task").iterdir():
         with contextlib.suppress(OSError):  # it has ended, or the right is missing
-            os.setpriority(os.PRIO_PROCESS, int(thread.name), FIRST_NICE)
+            os.setpriority(os.PRIO_PROCESS, int(thread.name), nice)
 
 
 def processor_s(process: int) -> float:

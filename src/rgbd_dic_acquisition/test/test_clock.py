@@ -175,6 +175,35 @@ def test_an_overtaken_packet_keeps_its_place():
     assert clock.restarts == 0
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_latches_bound_the_stamps_however_long_they_take(seed):
+    """Half of what is left open is sqrt(3) standard uncertainties of an even distribution: no error is ever larger."""
+    rng, clock = np.random.default_rng(seed), HostClock()
+    drift = rng.uniform(-100e-6, 100e-6)
+    for second in range(40):
+        before_ns, after_ns = (rng.lognormal(math.log(3e5), 1.2, 2)).astype(int).tolist()
+        latched = DEVICE_START_NS + second * NS
+        truth = HOST_START_NS + round(second * NS * (1 + drift))
+        clock.latch(latched, truth - before_ns, truth + after_ns)
+        for part in (0.01, 0.4, 0.99):
+            device = round(latched + part * NS)
+            host = HOST_START_NS + round((device - DEVICE_START_NS) * (1 + drift))
+            stamp = clock.stamp(device, host + 50_000_000)
+            assert abs(stamp.stamp_ns - host) < math.sqrt(3) * stamp.uncertainty_ns + 2  # rounding
+    assert stamp.uncertainty_ns < 0.2e6
+
+
+def test_latches_that_contradict_old_ones_are_believed():
+    """The rate changes: the old latches no longer count, and nothing breaks."""
+    clock, host = HostClock(), HOST_START_NS
+    for second in range(60):
+        host += NS + (0 if second < 30 else 300_000)
+        clock.latch(second * NS, host - 20_000, host + 20_000)
+        stamp = clock.stamp(second * NS + 1000, host + 50_000_000)
+        assert abs(stamp.stamp_ns - host - 1000) < 30_000
+    assert stamp.uncertainty_ns < 30_000
+
+
 def test_a_bad_window_is_refused():
     with pytest.raises(SettingsError, match="window_ns"):
         HostClock(window_ns=0)
