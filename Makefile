@@ -1,8 +1,8 @@
 # `make demo` and `make test` are all that a newcomer needs; each does the set-up that is missing.
 SHELL := /bin/bash
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-camera setup-tof build demo test test-slow test-acquisition sanitize bench bench-real validate
-.PHONY: lint format docs sample lock clean
+.PHONY: help setup setup-camera setup-tof setup-viewers build demo test test-slow test-acquisition sanitize bench
+.PHONY: bench-real validate lint format docs sample lock clean
 
 run := tools/run
 
@@ -19,6 +19,10 @@ setup-camera: .venv/.camera      ## bindings of Aravis, for real cameras (docs/p
 
 setup-tof: .venv/.tof            ## what reads real ToF cameras: harvesters and pypylon (docs/payload.md)
 .venv/.tof: requirements-tof.txt .venv/.installed
+	@.venv/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r $< && touch $@
+
+setup-viewers: .venv/.viewers    ## the websocket for Foxglove (docs/viewers.md)
+.venv/.viewers: requirements-viewers.txt .venv/.installed
 	@.venv/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r $< && touch $@
 
 sources := $(shell find src -type f -not -path '*/__pycache__/*' -not -path '*/test/*')
@@ -81,6 +85,7 @@ lock:                            ## the pinned requirements from requirements*.i
 	$(compile) --python-version 3.10 requirements.in -o requirements.txt
 	$(compile) --python-version 3.10 requirements-camera.in -o requirements-camera.txt
 	$(compile) --python-version 3.10 -c requirements.txt requirements-tof.in -o requirements-tof.txt
+	$(compile) --python-version 3.10 -c requirements.txt requirements-viewers.in -o requirements-viewers.txt
 	$(compile) --python-version 3.11 --override tools/bench/left_out.txt requirements-bench.in \
 	  -o requirements-bench.txt
 

@@ -2,10 +2,9 @@
 
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
-from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
-from rgbd_dic_processing.graph import GraphFiles, processing_nodes
-from rgbd_dic_processing.launching import COMMON_ARGUMENTS, chosen, node_action, path_argument
+from rgbd_dic_processing.graph import GraphFiles, processing_nodes, viewer
+from rgbd_dic_processing.launching import COMMON_ARGUMENTS, chosen, is_true, node_action, path_argument
 
 ARGUMENTS = (
     DeclareLaunchArgument("regions", description="regions.yaml: panel, fixed region and crack [px]; required"),
@@ -21,10 +20,11 @@ ARGUMENTS = (
 def _nodes(context: LaunchContext) -> list[Node]:
     settings, methods = chosen(context)
     files = GraphFiles(path_argument(context, "calibration"), path_argument(context, "regions"))
-    use_points, use_sim_time = (
-        LaunchConfiguration(name).perform(context).lower() == "true" for name in ("use_points", "use_sim_time")
-    )
-    return [node_action(spec, use_sim_time) for spec in processing_nodes(files, settings, methods, use_points)]
+    use_points, use_sim_time = (is_true(context, name) for name in ("use_points", "use_sim_time"))
+    nodes = processing_nodes(files, settings, methods, use_points)
+    if is_true(context, "viewers"):
+        nodes.append(viewer(files, use_points))
+    return [node_action(spec, use_sim_time) for spec in nodes]
 
 
 def generate_launch_description() -> LaunchDescription:

@@ -17,8 +17,9 @@ from rgbd_dic_processing.graph import (
     player,
     processing_nodes,
     recorder,
+    viewer,
 )
-from rgbd_dic_processing.launching import COMMON_ARGUMENTS, chosen, node_action, path_argument
+from rgbd_dic_processing.launching import COMMON_ARGUMENTS, chosen, is_true, node_action, path_argument
 from rgbd_dic_processing.recorded import check_topics, has_clouds
 
 START_DELAY_S = 3.0  # the player sees who listens to it; the nodes find each other meanwhile
@@ -48,6 +49,8 @@ def _nodes(context: LaunchContext) -> list[Node]:
         recorded = {name.lstrip("/") for name in reader.topics}
     topics = tuple(topic for topic in SENSOR_TOPICS if topic in recorded)
     nodes = processing_nodes(files, settings, methods, use_points)
+    if is_true(context, "viewers"):
+        nodes.append(viewer(files, use_points))
     output = path_argument(context, "output")
     if output is not None:
         nodes.append(recorder(output, tuple(dict.fromkeys((*topics, *all_topics(nodes))))))

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from .core.settings import ProcessingSettings
+from .view_topics import VIEW_TYPES
 
 ACQUISITION, PROCESSING = "rgbd_dic_acquisition", "rgbd_dic_processing"
 
@@ -33,6 +34,7 @@ TYPES = {
     "displacement_field": "rgbd_dic_msgs/msg/DisplacementField",
     "crack_opening": "rgbd_dic_msgs/msg/CrackOpening",
     "event": "rgbd_dic_msgs/msg/Event",
+    **VIEW_TYPES,
 }
 LATCHED = {"reference"}
 CAMERA_TOPICS = ("camera/image_raw", "camera/camera_info")
@@ -163,6 +165,19 @@ def operator_page(host: str, port: int, files: GraphFiles, settings: ProcessingS
             **used,
         },
     )
+
+
+def viewer(files: GraphFiles, use_points: bool = False) -> NodeSpec:
+    """What Foxglove and rviz show; what it takes, it takes only while somebody looks."""
+    calibration = {"calibration_file": str(files.calibration.resolve())}
+    return NodeSpec(
+        PROCESSING, "viewer_node", (), tuple(VIEW_TYPES), parameters={"use_points": use_points, **calibration}
+    )
+
+
+def foxglove_server(port: int) -> NodeSpec:
+    """The websocket for Foxglove, on this computer alone."""
+    return NodeSpec(PROCESSING, "foxglove_node", (), (), parameters={"foxglove.port": port})
 
 
 def opening_topic(method: str, methods: tuple[str, ...]) -> str:

@@ -31,6 +31,9 @@ COMMON_ARGUMENTS = (
     DeclareLaunchArgument(
         "settings", default_value="", description="settings.yaml, grouped by stage; empty: the defaults"
     ),
+    DeclareLaunchArgument(
+        "viewers", default_value="false", description="publish what Foxglove and rviz show (docs/viewers.md)"
+    ),
     DeclareLaunchArgument("log_level", default_value="info", description="debug, info, warn, error or fatal"),
 )
 
@@ -39,6 +42,11 @@ def path_argument(context: LaunchContext, name: str) -> Path | None:
     """The value of a launch argument as a path; None if it is empty."""
     value = LaunchConfiguration(name).perform(context)
     return Path(value).expanduser() if value else None
+
+
+def is_true(context: LaunchContext, name: str) -> bool:
+    """Whether a launch argument says true."""
+    return LaunchConfiguration(name).perform(context).lower() == "true"
 
 
 def chosen(context: LaunchContext) -> tuple[ProcessingSettings, tuple[str, ...]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +13,17 @@ from rgbd_dic_acquisition.errors import RgbdDicError
 
 from ..core.crack import CrackOpening
 from ..core.regions_file import load_regions
-from ..graph import NodeSpec, all_topics, opening_topic, operator_page, player, processing_nodes, recorder
+from ..graph import (
+    NodeSpec,
+    all_topics,
+    foxglove_server,
+    opening_topic,
+    operator_page,
+    player,
+    processing_nodes,
+    recorder,
+    viewer,
+)
 from ..processes import GraphProcesses
 from ..results import read_truth
 from ..sensor_states import SensorStates
@@ -24,6 +35,7 @@ from .up_sources import Source, source_of
 if TYPE_CHECKING:
     from ..supervision import Outcome
 
+FOXGLOVE_PORT = 8765
 DRAWN_NAME = "regions_drawn.yaml"  # what the page saves, beside the regions.yaml that the run began with
 WINDOW = 16  # images under way; more than a missing ToF frame makes the pairing wait for
 
@@ -63,6 +75,19 @@ def add_parser(commands: Any) -> None:
         default="127.0.0.1",
         help="its address; any but the loopback asks for a token (default: %(default)s)",
     )
+    parser.add_argument(
+        "--viewers",
+        action="store_true",
+        help="publish, and record, what Foxglove and rviz show (docs/viewers.md)",
+    )
+    parser.add_argument(
+        "--foxglove",
+        type=int,
+        nargs="?",
+        const=FOXGLOVE_PORT,
+        metavar="PORT",
+        help=f"--viewers, and serve Foxglove on this computer (default: not; without a number: port {FOXGLOVE_PORT})",
+    )
     parser.add_argument("--namespace", default="", help="pushed on all names (default: none)")
     parser.add_argument("--domain", type=int, help="ROS domain (default: ROS_DOMAIN_ID, else 0)")
     parser.set_defaults(run=run)
@@ -90,16 +115,21 @@ def run(options: argparse.Namespace) -> int:
     if source.truth is not None:
         read_truth(source.truth)  # a malformed one is refused before the flight, not after
     nodes = [*processing_nodes(source.files, settings, methods, source.use_points), *source.sensors]
-    address = ""
+    addresses = []
+    if options.viewers or options.foxglove is not None:
+        nodes.append(viewer(source.files, source.use_points))
+    if options.foxglove is not None:
+        addresses.append(foxglove_address(options.foxglove))
+        nodes.append(foxglove_server(options.foxglove))
     if options.page is not None:
-        address = page_address(options.page_host, options.page)
+        addresses.append(page_address(options.page_host, options.page))
         drawn = options.out / DRAWN_NAME
         nodes.append(operator_page(options.page_host, options.page, source.files, settings, drawn))
     nodes.append(recorder(output, tuple(dict.fromkeys((*source.topics, *all_topics(nodes))))))
     from ..supervision import collect  # ROS is imported only by what needs it
 
     answers = {method: opening_topic(method, methods) for method in methods}
-    outcome = _run(options, source, nodes, answers, address)
+    outcome = _run(options, source, nodes, answers, addresses)
     if outcome.failure is not None and not outcome.openings:
         raise outcome.failure
     inputs = {
@@ -125,8 +155,23 @@ def page_address(host: str, port: int) -> str:
     return access.address(port)
 
 
+def foxglove_address(port: int) -> str:
+    """What to open in Foxglove.
+
+    Raises:
+        RgbdDicError: if what serves it is not installed.
+    """
+    if find_spec("foxglove") is None:
+        raise RgbdDicError("--foxglove needs the package foxglove-sdk: make setup-viewers installs it")
+    return f"ws://127.0.0.1:{port}"
+
+
 def _run(
-    options: argparse.Namespace, source: Source, nodes: list[NodeSpec], answers: dict[str, str], address: str
+    options: argparse.Namespace,
+    source: Source,
+    nodes: list[NodeSpec],
+    answers: dict[str, str],
+    addresses: list[str],
 ) -> Outcome:
     """Start the nodes and, on a bag, the player; show the openings as they come; end them."""
     from ..supervision import supervise
@@ -150,7 +195,7 @@ def _run(
             for node in nodes:
                 processes.start(node)
             watch.wait_until_connected(nodes, processes.check)
-            if address:
+            for address in addresses:
                 print(f"open {address}", flush=True)
             if source.sensors:
                 bar.write(f"{', '.join(sensors)} run: Ctrl-C ends the flight", file=sys.stderr)

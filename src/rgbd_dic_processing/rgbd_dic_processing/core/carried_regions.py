@@ -25,6 +25,12 @@ def carried_regions(regions: Regions, camera: Camera, homography: Array) -> dict
         "panel", "fixed", "fixed_holes", "left", "right" and "crack" -> polygons (M, 2) [px]; "crack" is the line along
         the zones, of two points. What would lie behind the camera is left out.
     """
+    carried = carried_ideal(regions, camera, homography)
+    return {name: [camera.distort(polygon) for polygon in polygons] for name, polygons in carried.items()}
+
+
+def carried_ideal(regions: Regions, camera: Camera, homography: Array) -> dict[str, list[Array]]:
+    """As `carried_regions`, in ideal pixels."""
     outlines = {"panel": [regions.panel], "fixed": [*regions.fixed], "fixed_holes": [*regions.fixed_holes]}
     if regions.crack is not None:
         crack = regions.crack
@@ -33,7 +39,7 @@ def carried_regions(regions: Regions, camera: Camera, homography: Array) -> dict
         outlines |= {"left": [crack.left], "right": [crack.right], "crack": [line]}
     carried = {}
     for name, polygons in outlines.items():
-        moved = [camera.distort(apply_homography(homography, camera.undistort(polygon))) for polygon in polygons]
+        moved = [apply_homography(homography, camera.undistort(polygon)) for polygon in polygons]
         carried[name] = [polygon for polygon in moved if np.isfinite(polygon).all()]
     return carried
 

@@ -96,7 +96,7 @@ class CrackMeasurement:
                     len(right),
                 )
         try:
-            axes = layout.crack_axes(self._camera, self._zones, field.position_m)
+            axes = crack_axes(self._camera, self._zones, layout.centres_px, field.position_m)
         except MeasurementError as error:
             return _invalid(field, FrameStatus.NOT_COMPENSATED, str(error), len(left), len(right))
         sides = [(left, weights[0]), (right, weights[1])]
@@ -149,23 +149,27 @@ class _ZoneLayout:
         """Whether it is that of a field."""
         return self.subset_px == field.subset_px and np.array_equal(self.centres_px, field.centres_px)
 
-    def crack_axes(self, camera: Camera, zones: CrackZones, position_m: Array) -> Array:
-        """Rows: normal to the crack and along it, in panel coordinates (2, 2).
 
-        The crack's direction in the raw image that it was drawn on becomes one on the panel by the homography from
-        ideal pixels of that image to panel coordinates, taken where the direction was given.
+def crack_axes(camera: Camera, zones: CrackZones, centres_px: Array, position_m: Array) -> Array:
+    """Rows: normal to the crack and along it, in panel coordinates (2, 2).
 
-        Raises:
-            MeasurementError: if the subsets do not determine that homography.
-        """
-        known = np.flatnonzero(np.isfinite(position_m[:, 0]))
-        some = np.random.default_rng(0).permutation(known)[:AXES_POINTS]  # every so-manieth could be one column
-        to_panel = fit_homography(camera.undistort(self.centres_px[some]), position_m[some])
-        if to_panel is None:
-            raise MeasurementError("the direction of the crack on the panel is undetermined: too few subsets")
-        ends = apply_homography(to_panel, camera.undistort(zones.point + np.outer((-0.5, 0.5), zones.direction)))
-        along = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
-        return np.array([[along[1], -along[0]], [along[0], along[1]]])
+    The crack's direction in the raw image that it was drawn on becomes one on the panel by the homography from
+    ideal pixels of that image to panel coordinates, taken where the direction was given.
+
+    Args:
+        centres_px: (N, 2), of the subsets in that image. position_m: (N, 2), the same on the panel; NaN if not known.
+
+    Raises:
+        MeasurementError: if the subsets do not determine that homography.
+    """
+    known = np.flatnonzero(np.isfinite(position_m[:, 0]))
+    some = np.random.default_rng(0).permutation(known)[:AXES_POINTS]  # every so-manieth could be one column
+    to_panel = fit_homography(camera.undistort(centres_px[some]), position_m[some])
+    if to_panel is None:
+        raise MeasurementError("the direction of the crack on the panel is undetermined: too few subsets")
+    ends = apply_homography(to_panel, camera.undistort(zones.point + np.outer((-0.5, 0.5), zones.direction)))
+    along = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+    return np.array([[along[1], -along[0]], [along[0], along[1]]])
 
 
 def steady(field: DisplacementField, zone: NDArray[np.intp]) -> NDArray[np.intp]:

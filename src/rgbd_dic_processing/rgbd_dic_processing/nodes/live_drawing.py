@@ -23,7 +23,7 @@ from rgbd_dic_msgs.msg import PlaneStamped, Reference, SubsetField
 from ..core.carried_regions import carried_entries
 from ..core.geometry import Plane
 from ..core.settings import ProcessingSettings
-from ..core.status import FrameStatus
+from ..core.view import nearest_plane
 from ..pages.drawing import Drawing
 from .inputs import STREAM_DEPTH
 from .messages import plane_from_message, reference_from_message
@@ -32,7 +32,6 @@ Array = NDArray[np.float64]
 FIELD_TIMEOUT_S = 4.0  # in which a graph that measures is heard
 IMAGE_TIMEOUT_S = 10.0
 REST_TIMEOUT_S = 5.0  # for what belongs to the image, from when it came
-PLANE_NEAR_S = 0.1  # between the image and the plane that sizes are measured on
 
 
 class DrawingFetch:
@@ -119,14 +118,7 @@ class DrawingFetch:
 
     def _plane(self) -> Plane | None:
         """The one nearest in time to the image, if it is near enough."""
-        stamp_ns = stamp_to_ns(self._image.header.stamp)
-        away = {
-            abs(stamp_to_ns(message.header.stamp) - stamp_ns): message
-            for message in self._planes
-            if message.status.value == FrameStatus.OK
-        }
-        nearest = min(away, default=PLANE_NEAR_S * 1e9)
-        return plane_from_message(away[nearest]).plane if nearest < PLANE_NEAR_S * 1e9 else None
+        return nearest_plane(map(plane_from_message, self._planes), stamp_to_ns(self._image.header.stamp))
 
 
 def _latest() -> QoSProfile:

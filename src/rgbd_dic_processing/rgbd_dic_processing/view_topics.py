@@ -1,0 +1,11 @@
+"""What viewer_node gives: topic -> type."""
+
+VIEW_TYPES = {
+    "view/image_rect": "sensor_msgs/msg/Image",
+    "view/camera_info": "sensor_msgs/msg/CameraInfo",
+    "view/regions": "visualization_msgs/msg/ImageMarker",
+    "view/displacement": "visualization_msgs/msg/ImageMarker",
+    "view/subsets": "sensor_msgs/msg/PointCloud2",
+    "view/scene": "visualization_msgs/msg/MarkerArray",
+    "view/cloud": "sensor_msgs/msg/PointCloud2",
+}
