@@ -7,5 +7,6 @@ VIEW_TYPES = {
     "view/displacement": "visualization_msgs/msg/ImageMarker",
     "view/subsets": "sensor_msgs/msg/PointCloud2",
     "view/scene": "visualization_msgs/msg/MarkerArray",
+    "view/opening": "rgbd_dic_msgs/msg/OpeningBand",
     "view/cloud": "sensor_msgs/msg/PointCloud2",
 }

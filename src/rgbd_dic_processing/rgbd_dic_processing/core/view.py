@@ -1,4 +1,4 @@
-"""What the field's viewers are shown of one measured image: regions and subsets, in a picture and on the panel in 3D."""
+"""What the field's viewers are shown of a measured image: regions and subsets, in a picture and on the panel in 3D."""
 
 from __future__ import annotations
 
@@ -77,9 +77,9 @@ class Viewing:
         outlines = carried_ideal(regions, self._camera, homography) if regions is not None else {}
         rays = {name: [self._camera.rays(polygon) for polygon in polygons] for name, polygons in outlines.items()}
         displacement, sigma = _in_crack_axes(self._camera, regions, field)
-        shown = np.isfinite(displacement[:, 0])
-        centres = self._camera.undistort(field.centres_px[shown].astype(float))
-        subset_rays = self._camera.rays(apply_homography(homography, centres))
+        moved = apply_homography(homography, self._camera.undistort(field.centres_px.astype(float)))
+        shown = np.isfinite(displacement[:, 0]) & np.isfinite(moved).all(axis=1)
+        subset_rays = self._camera.rays(moved[shown])
         return View(
             camera,
             picture,

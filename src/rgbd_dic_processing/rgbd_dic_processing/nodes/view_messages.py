@@ -62,7 +62,7 @@ def view_messages(
     opening: CrackOpening,
     settings: ViewerSettings,
 ) -> dict[str, Callable[[], Any]]:
-    """Topic -> what makes its message; that of the cloud is not among them."""
+    """Topic -> what makes its message: all that shows one picture."""
     about = (make, stamp_ns, frame_id)
     colours = scale.colours(view.displacement_m[:, 0])
     return {
@@ -73,6 +73,20 @@ def view_messages(
         "view/subsets": lambda: _subsets(*about, view, colours),
         "view/scene": lambda: _scene(*about, view, opening),
     }
+
+
+def band_message(make: MessageFactory, opening: CrackOpening, frame_id: str) -> Any:
+    """The opening in millimetres, with its uncertainty as a band."""
+    value, u = opening.opening_m * 1e3, opening.u_opening_m * 1e3
+    return make(
+        "rgbd_dic_msgs/msg/OpeningBand",
+        header=header_message(make, opening.stamp_ns, frame_id),
+        opening_mm=value,
+        lower_mm=value - u,
+        upper_mm=value + u,
+        u_opening_mm=u,
+        sliding_mm=opening.sliding_m * 1e3,
+    )
 
 
 def cloud_message(
@@ -179,7 +193,7 @@ def _closed(outlines: dict[str, list[Array]]) -> Iterable[tuple[str, Array]]:
 
 
 def _triangles(polygon_m: Array) -> Array:
-    """(3 k, 3), corners of triangles that cover the convex hull of a polygon (M, 3) on a plane that faces the camera."""
+    """(3 k, 3), corners of triangles that cover the convex hull of a polygon (M, 3) on a plane before the camera."""
     hull = cv2.convexHull((polygon_m[:, :2] / polygon_m[:, 2:]).astype(np.float32), returnPoints=False).ravel()
     fan = [(hull[0], hull[i], hull[i + 1]) for i in range(1, len(hull) - 1)]
     return polygon_m[np.array(fan, int).ravel()]

@@ -24,6 +24,7 @@ from sensor_msgs.msg import Image, PointCloud2
 
 from rgbd_dic_msgs.msg import CrackOpening, DisplacementField, PlaneStamped, Preview, Reference
 
+from ..core.crack import CrackOpening as Opening
 from ..core.plane import PlaneEstimate, cloud_of_depth
 from ..core.regions import Regions
 from ..core.view import ColourScale, Viewing, nearest_plane
@@ -36,7 +37,7 @@ from .messages import (
 )
 from .preview import TOPIC, preview_qos
 from .same_stamp import SameStamp
-from .view_messages import ViewerSettings, cloud_message, view_messages
+from .view_messages import ViewerSettings, band_message, cloud_message, view_messages
 from .while_wanted import WhileWanted
 
 LOOK_S = 0.2  # how often it looks whether somebody looks
@@ -90,7 +91,9 @@ class ViewerNode(Node):
         self._add("field", header_stamp_ns(data), data)
 
     def _opening(self, message: CrackOpening) -> None:
-        self._add("opening", stamp_to_ns(message.header.stamp), message)
+        opening = crack_opening_from_message(message)
+        self._publish("view/opening", lambda: band_message(make, opening, message.header.frame_id))
+        self._add("opening", opening.stamp_ns, opening)
 
     def _take_depth(self, data: bytes) -> None:
         self._depth = data
@@ -100,16 +103,14 @@ class ViewerNode(Node):
         if parts is not None:
             self._show(stamp_ns, parts["preview"], parts["field"], parts["opening"])
 
-    def _show(self, stamp_ns: int, preview: Preview, data: bytes, opening: CrackOpening) -> None:
+    def _show(self, stamp_ns: int, preview: Preview, data: bytes, opening: Opening) -> None:
         field = displacement_field_from_message(deserialize_message(data, DisplacementField))
         homography = np.array(preview.homography, float).reshape(3, 3)
         small, plane = image_from_message(preview.small), nearest_plane(self._planes, stamp_ns)
         view = self._viewing.view(small, homography, self._regions.get(field.reference_stamp_ns), field, plane)
         self._scale.widen(field.reference_stamp_ns, view.displacement_m[:, 0])
         about = (make, stamp_ns, preview.header.frame_id)
-        for topic, content in view_messages(
-            *about, view, self._scale, crack_opening_from_message(opening), self._settings
-        ).items():
+        for topic, content in view_messages(*about, view, self._scale, opening, self._settings).items():
             self._publish(topic, content)
         if self._depth is not None:
             self._publish(CLOUD, lambda: self._cloud(preview.header.frame_id))
