@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import struct
+import threading
 import time
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
@@ -25,17 +26,21 @@ class Watched:
 
 
 def watch(
-    port: int, topics: Collection[str], enough: Callable[[Watched], bool], timeout_s: float = 60, pause_s: float = 0
+    port: int,
+    topics: Collection[str],
+    enough: Callable[[Watched], bool],
+    timeout_s: float = 60,
+    awake: threading.Event | None = None,
 ) -> Watched:
     """Subscribe these topics as they are offered, until enough has come or the time is over.
 
     Args:
-        pause_s: how long it first reads nothing after it has subscribed all, as a viewer on a slow link.
+        awake: until it is set, nothing is read after the last subscription, as by a viewer on a slow link.
     """
-    return asyncio.run(_watch(port, topics, enough, timeout_s, pause_s))
+    return asyncio.run(_watch(port, topics, enough, timeout_s, awake))
 
 
-async def _watch(port: int, topics: Collection[str], enough: Any, timeout_s: float, pause_s: float) -> Watched:
+async def _watch(port: int, topics: Collection[str], enough: Any, timeout_s: float, awake: Any) -> Watched:
     seen, deadline, ids = Watched(), time.monotonic() + timeout_s, {}
     async with aiohttp.ClientSession() as session:
         socket = await _connect(session, port, deadline)
@@ -50,9 +55,10 @@ async def _watch(port: int, topics: Collection[str], enough: Any, timeout_s: flo
                     if channel["topic"] in topics:
                         ids[len(ids)] = channel
                         wish = {"id": len(ids) - 1, "channelId": channel["id"]}
+                        await asyncio.sleep(0.1)  # foxglove-sdk 0.30 offers a channel shortly before it knows it
                         await socket.send_str(json.dumps({"op": "subscribe", "subscriptions": [wish]}))
-                        if len(ids) == len(topics):
-                            await asyncio.sleep(pause_s)
+                        if awake is not None and len(ids) == len(topics):
+                            await asyncio.to_thread(awake.wait, timeout_s)
             elif message.type == aiohttp.WSMsgType.BINARY and message.data[0] == 1:
                 subscription, log_time_ns = struct.unpack_from("<IQ", message.data, 1)
                 channel, data = ids[subscription], message.data[13:]
