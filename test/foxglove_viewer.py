@@ -31,16 +31,20 @@ def watch(
     enough: Callable[[Watched], bool],
     timeout_s: float = 60,
     awake: threading.Event | None = None,
+    decode: bool = True,
 ) -> Watched:
     """Subscribe these topics as they are offered, until enough has come or the time is over.
 
     Args:
         awake: until it is set, nothing is read after the last subscription, as by a viewer on a slow link.
+        decode: whether messages are; else they are None.
     """
-    return asyncio.run(_watch(port, topics, enough, timeout_s, awake))
+    return asyncio.run(_watch(port, topics, enough, timeout_s, awake, decode))
 
 
-async def _watch(port: int, topics: Collection[str], enough: Any, timeout_s: float, awake: Any) -> Watched:
+async def _watch(
+    port: int, topics: Collection[str], enough: Any, timeout_s: float, awake: Any, decode: bool
+) -> Watched:
     seen, deadline, ids = Watched(), time.monotonic() + timeout_s, {}
     async with aiohttp.ClientSession() as session:
         socket = await _connect(session, port, deadline)
@@ -62,7 +66,8 @@ async def _watch(port: int, topics: Collection[str], enough: Any, timeout_s: flo
             elif message.type == aiohttp.WSMsgType.BINARY and message.data[0] == 1:
                 subscription, log_time_ns = struct.unpack_from("<IQ", message.data, 1)
                 channel, data = ids[subscription], message.data[13:]
-                seen.came.setdefault(channel["topic"], []).append((log_time_ns, _decoded(channel, data), data))
+                decoded = _decoded(channel, data) if decode else None
+                seen.came.setdefault(channel["topic"], []).append((log_time_ns, decoded, data))
             elif message.type in (aiohttp.WSMsgType.CLOSED, aiohttp.WSMsgType.ERROR):
                 break
         await socket.close()

@@ -24,6 +24,7 @@ from rgbd_dic_processing.graph import (
     player,
     processing_nodes,
     recorder,
+    viewer,
 )
 from rgbd_dic_processing.live_sensors import live_sensors
 from system import ROOT, SAMPLE
@@ -151,6 +152,14 @@ def test_point_clouds(describe) -> None:
     started = nodes(describe(PROCESSING / "processing.launch.py"), use_points="true", **NAMED)
     graph = processing_nodes(SAMPLE_FILES, ProcessingSettings(), ("h_pose",), use_points=True)
     assert started == expected(graph, use_sim_time=False)
+
+
+@pytest.mark.parametrize("name", ["processing", "replay"])
+def test_viewers(describe, name: str) -> None:
+    files = NAMED if name == "processing" else {"bag": str(SAMPLE)}
+    started = nodes(describe(PROCESSING / f"{name}.launch.py"), viewers="true", use_sim_time="true", **files)
+    (found,) = (spec for spec in started if spec.executable == "viewer_node")
+    assert [found] == expected([viewer(SAMPLE_FILES)], use_sim_time=True)
 
 
 @pytest.mark.parametrize("rate, answers", [("1.0", ()), ("0", ("crack_opening",))])

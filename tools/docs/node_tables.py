@@ -21,7 +21,10 @@ NAMESPACE = "/docs"
 FILES = {"regions_file": SAMPLE / "regions.yaml", "calibration_file": SAMPLE / "calibration.yaml"}
 CLOUDS = {"use_points": "true"}
 ACQUISITION = ("camera_node", "tof_node", "mavlink_node", "recorder_node", "player_node")
-PROCESSING = ("pairing_node", "plane_node", "dic_node", "compensation_node", "crack_opening_node", "operator_node")
+PROCESSING = (
+    *("pairing_node", "plane_node", "dic_node", "compensation_node", "crack_opening_node", "operator_node"),
+    *("viewer_node", "foxglove_node"),
+)
 COMMON_TOPICS = {"/diagnostics", "/rosout", "/parameter_events"}
 COMMON_PARAMETERS = {"use_sim_time", "start_type_description_service"}
 SERVICES = {
@@ -31,14 +34,28 @@ SERVICES = {
     "~/record": "stops writing, or starts again; latched topics are written in any case",
 }
 OPTIONAL = {"tof_node": {"/tf_static": ("tf2_msgs/TFMessage", "reliable, latched")}}  # needs tf2_msgs, not always there
-WHILE_WATCHED = {  # of operator_node, which has no subscription while nobody looks
-    "crack_opening": ("rgbd_dic_msgs/CrackOpening", "best effort, keep 300"),
-    "/diagnostics": ("diagnostic_msgs/DiagnosticArray", "reliable, keep 100"),
-    "reference": ("rgbd_dic_msgs/Reference", "reliable, latched"),
-    "camera/camera_info": ("sensor_msgs/CameraInfo", "best effort, keep 1"),
-    "_preview": ("rgbd_dic_msgs/Preview", "best effort, keep 1"),
-    "camera/image_raw": ("sensor_msgs/Image", "best effort, keep 1"),
-    "plane": ("rgbd_dic_msgs/PlaneStamped", "best effort, keep 1"),
+SHOWN = {  # of nodes that have no subscription while nobody looks
+    "operator_node": {
+        "crack_opening": ("rgbd_dic_msgs/CrackOpening", "best effort, keep 300"),
+        "/diagnostics": ("diagnostic_msgs/DiagnosticArray", "reliable, keep 100"),
+        "reference": ("rgbd_dic_msgs/Reference", "reliable, latched"),
+        "camera/camera_info": ("sensor_msgs/CameraInfo", "best effort, keep 1"),
+        "_preview": ("rgbd_dic_msgs/Preview", "best effort, keep 1"),
+        "camera/image_raw": ("sensor_msgs/Image", "best effort, keep 1"),
+        "plane": ("rgbd_dic_msgs/PlaneStamped", "best effort, keep 1"),
+    },
+    "viewer_node": {
+        "_preview": ("rgbd_dic_msgs/Preview", "best effort, keep 1"),
+        "reference": ("rgbd_dic_msgs/Reference", "reliable, latched"),
+        "displacement_field": ("rgbd_dic_msgs/DisplacementField", "best effort, keep 20"),
+        "crack_opening": ("rgbd_dic_msgs/CrackOpening", "best effort, keep 100"),
+        "plane": ("rgbd_dic_msgs/PlaneStamped", "best effort, keep 20"),
+        "tof/depth/image_raw": ("sensor_msgs/Image", "best effort, keep 1"),
+        "tof/points": ("sensor_msgs/PointCloud2", "best effort, keep 1"),
+    },
+    "foxglove_node": {
+        "every topic of its namespace, `/diagnostics`, `/rosout`, `/tf`, `/tf_static`": ("any", "as offered, keep 10")
+    },
 }
 SELDOM = {
     "tof/points": "with `use_points`, in place of `tof/depth/...`",
@@ -141,8 +158,11 @@ def _topics(executable: str, facts: Facts) -> str:
         gives = {"every topic of the bag": ("as recorded", "reliable, keep `queue_depth`; latched if it was")}
         gives |= {name: entry for name, entry in facts.gives.items() if name == "/clock"}
         takes = {"`acknowledge_topics`": ("as they say", "reliable, keep `queue_depth`")}
-    if executable == "operator_node":
-        takes = {f"`{name}` while somebody looks": entry for name, entry in WHILE_WATCHED.items()}
+    if executable in SHOWN:
+        takes = {
+            f"{name if ' ' in name else f'`{name}`'}{_when(name)} while somebody looks": entry
+            for name, entry in SHOWN[executable].items()
+        }
     if executable == "recorder_node":
         takes = {"`topics`, or all of its namespace and `/tf_static`": ("any", "as offered, keep `queue_depth`")}
     rows = []
@@ -151,6 +171,10 @@ def _topics(executable: str, facts: Facts) -> str:
             shown = name if "`" in name or " " in name else f"`{name}`"
             rows.append((direction, f"{shown} ({SELDOM[name]})" if name in SELDOM else shown, _linked(kind), qos))
     return table(("", "Topic", "Type", "Quality of service"), rows)
+
+
+def _when(topic: str) -> str:
+    return f" ({SELDOM[topic]})" if topic in SELDOM else ""
 
 
 def _linked(kind: str) -> str:

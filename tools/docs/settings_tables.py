@@ -19,8 +19,10 @@ from rgbd_dic_acquisition.settings import Settings
 from rgbd_dic_acquisition.simulator.flight import FlightSettings
 from rgbd_dic_acquisition.simulator.laboratory import LaboratorySettings
 from rgbd_dic_processing.core.settings import ProcessingSettings
+from rgbd_dic_processing.nodes.foxglove_node import FoxgloveSettings
 from rgbd_dic_processing.nodes.inputs import SensorQosSettings
 from rgbd_dic_processing.nodes.preview import PreviewSettings
+from rgbd_dic_processing.nodes.view_messages import ViewerSettings
 from rgbd_dic_processing.pages.settings import OperatorSettings
 
 STAGES: dict[str, type[Settings]] = {
@@ -38,10 +40,12 @@ NODES: dict[str, type[Settings]] = {
     "link": MavlinkSettings,
     "preview": PreviewSettings,
     "operator": OperatorSettings,
+    "viewer": ViewerSettings,
+    "foxglove": FoxgloveSettings,
     "recorder_node": RecorderSettings,
     "player_node": PlayerSettings,
 }
-OF_PROCESSING = ("sensor_qos", "preview", "operator")  # of these, the groups of processing nodes
+OF_PROCESSING = ("sensor_qos", "preview", "operator", "viewer", "foxglove")  # of these, the groups of processing nodes
 FLIGHT: dict[str, type[Settings]] = {"flight": FlightSettings} | {
     f"flight.{field.name}": type(field.default)
     for field in dataclasses.fields(FlightSettings)

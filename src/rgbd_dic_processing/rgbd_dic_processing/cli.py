@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from rgbd_dic_acquisition.errors import RgbdDicError
 
 from .commands import (
+    annotate,
     calibrate,
     check,
     find_panel,
@@ -49,6 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         find_panel,
         plane,
         report,
+        annotate,
         info,
         validate,
     ):

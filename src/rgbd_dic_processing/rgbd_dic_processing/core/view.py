@@ -84,9 +84,9 @@ class Viewing:
             camera,
             picture,
             {name: [camera.project(polygon) for polygon in polygons] for name, polygons in rays.items()},
-            {name: [plane.points(polygon) for polygon in polygons] for name, polygons in rays.items()} if plane else {},
+            _placed(rays, plane) if plane is not None else {},
             camera.project(subset_rays),
-            plane.points(subset_rays) if plane else np.full((len(subset_rays), 3), np.nan),
+            plane.points(subset_rays) if plane is not None else np.full((len(subset_rays), 3), np.nan),
             displacement[shown],
             sigma[shown],
         )
@@ -125,11 +125,26 @@ class ColourScale:
         return np.stack([np.interp(at, (-1, 0, 1), levels) for levels in zip(BLUE, WHITE, RED, strict=True)], axis=-1)
 
 
+def made_small(image: NDArray[np.uint8], most_width_px: int) -> NDArray[np.uint8]:
+    """An image (rows, cols) with so many times fewer pixels, a whole number of times, that it is not wider."""
+    height, width = image.shape
+    factor = -(-width // most_width_px)
+    if factor == 1:
+        return image
+    return cv2.resize(image, (width // factor, height // factor), interpolation=cv2.INTER_AREA)
+
+
 def nearest_plane(estimates: Iterable[PlaneEstimate], stamp_ns: int) -> Plane | None:
     """Of the planes that were found, the one nearest in time; None if none is within PLANE_NEAR_S."""
     away = {abs(e.stamp_ns - stamp_ns): e.plane for e in estimates if e.plane is not None}
     nearest = min(away, default=None)
     return away[nearest] if nearest is not None and nearest < PLANE_NEAR_S * 1e9 else None
+
+
+def _placed(rays: Outlines, plane: Plane) -> Outlines:
+    """Where the outlines meet the plane; those that do not are left out."""
+    met = {name: [plane.points(polygon) for polygon in polygons] for name, polygons in rays.items()}
+    return {name: [p for p in polygons if np.isfinite(p).all()] for name, polygons in met.items()}
 
 
 def _in_crack_axes(camera: Camera, regions: Regions | None, field: DisplacementField) -> tuple[Array, Array]:

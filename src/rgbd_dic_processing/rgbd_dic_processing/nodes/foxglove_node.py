@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from queue import SimpleQueue
 from typing import Any
@@ -66,14 +66,21 @@ class FoxgloveNode(Node):
         self._topics: dict[str, Served | None] = {}
         self._asked: SimpleQueue[str] = SimpleQueue()
         self._simulated = self.get_parameter("use_sim_time").value
+        self._sdk = self._server = None
+
+    def work(self) -> Iterator[float]:
+        """Serve; the rest is done by timers."""
         self._sdk, self._server = self._serve()
+        self.get_logger().info(f"serving Foxglove on ws://{HOST}:{self._server.port}")
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(OFFER_S, self._offer, clock=steady)
         self.create_timer(FOLLOW_S, self._follow, clock=steady)
-        self.get_logger().info(f"serving Foxglove on ws://{HOST}:{self._server.port}")
+        while True:
+            yield OFFER_S
 
     def close(self) -> None:
-        self._server.stop()
+        if self._server is not None:
+            self._server.stop()
 
     def _serve(self) -> tuple[Any, Any]:
         try:

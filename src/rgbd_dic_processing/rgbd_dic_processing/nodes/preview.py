@@ -1,11 +1,10 @@
-"""Small pictures of what dic_node measures, for the live page."""
+"""Small pictures of what dic_node measures, for the live page and for viewers."""
 
 from __future__ import annotations
 
 import time
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from rclpy.node import Node
@@ -17,13 +16,14 @@ from rgbd_dic_acquisition.settings import Settings, setting
 from rgbd_dic_msgs.msg import FrameStatus, Preview
 
 from ..core.subset_field import SubsetField
+from ..core.view import made_small
 
 TOPIC = "_preview"  # hidden: no recorder takes it for a part of the measurement
 
 
 @dataclass(frozen=True)
 class PreviewSettings(Settings):
-    """Small pictures for the live page; none are made while nobody looks."""
+    """Small pictures for the live page and for viewers; none are made while nobody looks."""
 
     rate_hz: float = setting(4.0, unit="1/s", low=0.1, high=30.0, doc="most pictures that are made a second")
     width_px: int = setting(800, unit="px", low=80, high=4096, doc="largest width of a picture")
@@ -48,10 +48,7 @@ class PreviewOutput:
             return
         self._due_s = now + 1 / self._settings.rate_hz
         height, width = image.shape
-        factor = -(-width // self._settings.width_px)  # a whole number is the fastest
-        small = image
-        if factor > 1:
-            small = cv2.resize(image, (width // factor, height // factor), interpolation=cv2.INTER_AREA)
+        small = made_small(image, self._settings.width_px)
         self._output.publish(
             Preview(
                 header=header_message(make, field.stamp_ns, frame_id),

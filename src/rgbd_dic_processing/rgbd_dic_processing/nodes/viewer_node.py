@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -12,8 +11,8 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
-from rgbd_dic_acquisition.calibration import load_calibration, pixel_rays
-from rgbd_dic_acquisition.errors import ImageError
+from rgbd_dic_acquisition.calibration import load_calibration
+from rgbd_dic_acquisition.errors import RgbdDicError
 from rgbd_dic_acquisition.in_flight import header_stamp_ns
 from rgbd_dic_acquisition.messages import depth_from_message, image_from_message, points_from_message, stamp_to_ns
 from rgbd_dic_acquisition.nodes.diagnostics import Diagnostics
@@ -24,10 +23,6 @@ from sensor_msgs.msg import Image, PointCloud2
 
 from rgbd_dic_msgs.msg import CrackOpening, DisplacementField, PlaneStamped, Preview, Reference
 
-from ..core.crack import CrackOpening as Opening
-from ..core.plane import PlaneEstimate, cloud_of_depth
-from ..core.regions import Regions
-from ..core.view import ColourScale, Viewing, nearest_plane
 from ..view_topics import VIEW_TYPES
 from .messages import (
     crack_opening_from_message,
@@ -37,7 +32,8 @@ from .messages import (
 )
 from .preview import TOPIC, preview_qos
 from .same_stamp import SameStamp
-from .view_messages import ViewerSettings, band_message, cloud_message, view_messages
+from .view_messages import ViewerSettings, band_message
+from .viewer import Viewer
 from .while_wanted import WhileWanted
 
 LOOK_S = 0.2  # how often it looks whether somebody looks
@@ -48,14 +44,10 @@ CLOUD = "view/cloud"
 class ViewerNode(Node):
     def __init__(self) -> None:
         super().__init__("viewer_node")
-        self._settings = declare(self, ViewerSettings, "viewer")
+        settings = declare(self, ViewerSettings, "viewer")
         path = declare_path(self, "calibration_file", "calibration.yaml: intrinsics of both sensors, extrinsics")
-        self._calibration = load_calibration(path)
-        self._viewing, self._scale = Viewing(self._calibration.camera), ColourScale()
-        self._rays = pixel_rays(self._calibration.tof) if self._calibration.tof is not None else None
+        self._viewer = Viewer(make, load_calibration(path), settings)
         self._together = SameStamp("preview", "field", "opening")
-        self._regions: dict[int, Regions | None] = {}
-        self._planes: deque[PlaneEstimate] = deque(maxlen=64)
         self._depth: bytes | None = None
         self._diagnostics = Diagnostics(self)
         self._outputs = {
@@ -67,9 +59,9 @@ class ViewerNode(Node):
         self._depth_type = depth[0]
         self._images = WhileWanted(
             self,
-            (Reference, "reference", self._reference, latched_qos()),
+            (Reference, "reference", lambda m: self._viewer.know_reference(reference_from_message(m)), latched_qos()),
             (Preview, TOPIC, self._preview, preview_qos()),
-            (PlaneStamped, "plane", lambda message: self._planes.append(plane_from_message(message)), _newest(20)),
+            (PlaneStamped, "plane", lambda m: self._viewer.know_plane(plane_from_message(m)), _newest(20)),
             (DisplacementField, "displacement_field", self._field, _newest(20), True),
             (CrackOpening, "crack_opening", self._opening, _newest(100)),
         )
@@ -80,15 +72,11 @@ class ViewerNode(Node):
         self._images.follow(any(output.matched for output in self._outputs.values()))
         self._depths.follow(self._outputs[CLOUD].matched > 0)
 
-    def _reference(self, message: Reference) -> None:
-        reference = reference_from_message(message)
-        self._regions = {**dict(list(self._regions.items())[-8:]), reference.stamp_ns: reference.regions}
-
     def _preview(self, message: Preview) -> None:
         self._add("preview", stamp_to_ns(message.header.stamp), message)
 
     def _field(self, data: bytes) -> None:
-        self._add("field", header_stamp_ns(data), data)
+        self._add("field", header_stamp_ns(data), data)  # of sixty a second, four are read
 
     def _opening(self, message: CrackOpening) -> None:
         opening = crack_opening_from_message(message)
@@ -101,40 +89,31 @@ class ViewerNode(Node):
     def _add(self, name: str, stamp_ns: int, part: Any) -> None:
         parts = self._together.add(name, stamp_ns, part)
         if parts is not None:
-            self._show(stamp_ns, parts["preview"], parts["field"], parts["opening"])
+            self._show(**parts)
 
-    def _show(self, stamp_ns: int, preview: Preview, data: bytes, opening: Opening) -> None:
-        field = displacement_field_from_message(deserialize_message(data, DisplacementField))
-        homography = np.array(preview.homography, float).reshape(3, 3)
-        small, plane = image_from_message(preview.small), nearest_plane(self._planes, stamp_ns)
-        view = self._viewing.view(small, homography, self._regions.get(field.reference_stamp_ns), field, plane)
-        self._scale.widen(field.reference_stamp_ns, view.displacement_m[:, 0])
-        about = (make, stamp_ns, preview.header.frame_id)
-        for topic, content in view_messages(*about, view, self._scale, opening, self._settings).items():
+    def _show(self, preview: Preview, field: bytes, opening: Any) -> None:
+        read = displacement_field_from_message(deserialize_message(field, DisplacementField))
+        homography, frame_id = np.array(preview.homography, float).reshape(3, 3), preview.header.frame_id
+        small = image_from_message(preview.small)
+        for topic, content in self._viewer.messages(frame_id, small, homography, read, opening).items():
             self._publish(topic, content)
         if self._depth is not None:
-            self._publish(CLOUD, lambda: self._cloud(preview.header.frame_id))
+            self._publish(CLOUD, lambda: self._cloud(frame_id))
 
     def _publish(self, topic: str, content: Callable[[], Any]) -> None:
-        if self._outputs[topic].matched:
-            message = content()
-            if message is not None:
-                self._outputs[topic].publish(message)
+        if self._outputs[topic].matched and (message := content()) is not None:
+            self._outputs[topic].publish(message)
 
     def _cloud(self, frame_id: str) -> PointCloud2 | None:
         message, self._depth = deserialize_message(self._depth, self._depth_type), None
+        stamp_ns = stamp_to_ns(message.header.stamp)
         try:
             if self._depth_type is PointCloud2:
-                points = points_from_message(message)
-            else:
-                points = cloud_of_depth(depth_from_message(message), self._calibration.tof, self._rays)
-        except ImageError as error:
+                return self._viewer.cloud(stamp_ns, frame_id, points_from_message(message))
+            return self._viewer.cloud_of_depth(stamp_ns, frame_id, depth_from_message(message))
+        except RgbdDicError as error:
             self._diagnostics.warn(str(error))
             return None
-        stamp_ns = stamp_to_ns(message.header.stamp)
-        points = points @ self._calibration.R_camera_tof.T + self._calibration.t_camera_tof
-        plane = nearest_plane(self._planes, stamp_ns)
-        return cloud_message(make, stamp_ns, frame_id, points, plane, self._settings.most_points)
 
 
 def _newest(depth: int) -> QoSProfile:
