@@ -10,6 +10,7 @@ somebody asks for. Writes the table into docs/viewers.md.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import multiprocessing
 import os
 import subprocess
@@ -115,6 +116,7 @@ def publish(calibration_path: Path) -> None:
 def look_by_ros(taken: multiprocessing.Value) -> None:
     """A viewer such as rviz: it subscribes all that viewer_node gives."""
     import rclpy
+    from rclpy.executors import ExternalShutdownException
     from rgbd_dic_acquisition.nodes.ros_messages import message_class
     from rgbd_dic_processing.view_topics import VIEW_TYPES
 
@@ -127,7 +129,8 @@ def look_by_ros(taken: multiprocessing.Value) -> None:
     for topic, kind in VIEW_TYPES.items():
         counted = took if topic == "view/image_rect" else (lambda _: None)
         node.create_subscription(message_class(kind), topic, counted, 5, raw=True)
-    rclpy.spin(node)
+    with contextlib.suppress(ExternalShutdownException):
+        rclpy.spin(node)
 
 
 def look_by_websocket(taken: multiprocessing.Value) -> None:

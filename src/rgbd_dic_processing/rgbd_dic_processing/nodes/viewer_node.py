@@ -95,6 +95,7 @@ class ViewerNode(Node):
         read = displacement_field_from_message(deserialize_message(field, DisplacementField))
         homography, frame_id = np.array(preview.homography, float).reshape(3, 3), preview.header.frame_id
         small = image_from_message(preview.small)
+        self._diagnostics.count("pictures")
         for topic, content in self._viewer.messages(frame_id, small, homography, read, opening).items():
             self._publish(topic, content)
         if self._depth is not None:
@@ -109,11 +110,14 @@ class ViewerNode(Node):
         stamp_ns = stamp_to_ns(message.header.stamp)
         try:
             if self._depth_type is PointCloud2:
-                return self._viewer.cloud(stamp_ns, frame_id, points_from_message(message))
-            return self._viewer.cloud_of_depth(stamp_ns, frame_id, depth_from_message(message))
+                cloud = self._viewer.cloud(stamp_ns, frame_id, points_from_message(message))
+            else:
+                cloud = self._viewer.cloud_of_depth(stamp_ns, frame_id, depth_from_message(message))
+            self._diagnostics.ok()
         except RgbdDicError as error:
+            cloud = None
             self._diagnostics.warn(str(error))
-            return None
+        return cloud
 
 
 def _newest(depth: int) -> QoSProfile:
