@@ -11,7 +11,7 @@ from ..core.settings import PairingSettings
 from .finding import Finding, Level, graded, not_checked
 from .listening import Heard
 
-CLOCK_NS = 2_000_000  # uncertainty of stamps with which pairing is as good as it gets
+GOOD_CLOCK_NS, BEARABLE_CLOCK_NS = 2_000_000, 10_000_000  # uncertainty of stamps
 SATURATED = 254
 
 
@@ -49,9 +49,11 @@ def camera_clock(name: str, heard: Heard) -> Finding:
         return Finding(
             name, Level.WARN, text, "stamps are the arrival, or too new to tell: see docs/payload.md, Stamps"
         )
-    remedy = "by arrivals, the shortest delivery remains in the stamps: camera_node aravis.delivery_s, tof_delay_s"
-    good = heard.uncertainty_ns <= CLOCK_NS
-    return graded(name, text, remedy, good and latched, good)
+    remedy = "a busy computer answers late: end other programs"
+    if not latched:
+        remedy = "the shortest delivery remains in the stamps: aravis.delivery_s, pairing.tof_delay_s"
+    good = latched and heard.uncertainty_ns <= GOOD_CLOCK_NS
+    return graded(name, text, remedy, good, heard.uncertainty_ns <= BEARABLE_CLOCK_NS)
 
 
 def brightness(pixels: NDArray[np.uint8]) -> Finding:

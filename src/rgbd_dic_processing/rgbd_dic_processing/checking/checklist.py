@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +42,14 @@ class Plan:
     domain: int
     noise: float
 
+    @property
+    def camera(self) -> AravisSettings:
+        return self.payload.settings("camera_node", "aravis", AravisSettings) if self.payload else AravisSettings()
+
+    @property
+    def tof(self) -> TofSettings:
+        return self.payload.settings("tof_node", "tof", TofSettings) if self.payload else TofSettings()
+
 
 def checklist(plan: Plan) -> Iterator[Finding]:
     """Every check, as it is done."""
@@ -65,8 +74,6 @@ def checklist(plan: Plan) -> Iterator[Finding]:
 def _sensors(
     plan: Plan, payload: Payload, calibration: Calibration | None, regions: Regions | None
 ) -> Iterator[Finding]:
-    camera_settings = payload.settings("camera_node", "aravis", AravisSettings)
-    tof_settings = payload.settings("tof_node", "tof", TofSettings)
     tof_source = payload.source("tof_node")
     drivers = [installed.camera_driver(payload.source("camera_node")), installed.tof_driver(tof_source)]
     link = None
@@ -76,22 +83,20 @@ def _sensors(
     yield from drivers
     make_camera = make_tof = None
     if drivers[0].level == Level.PASS and calibration is not None:
-        make_camera = lambda: AravisCamera(camera_settings, calibration.camera, "")  # noqa: E731
+        make_camera = partial(AravisCamera, plan.camera, calibration.camera, "")
     if drivers[1].level == Level.PASS:
-        make_tof = lambda: TofCamera(tof_source, tof_settings)  # noqa: E731
+        make_tof = partial(TofCamera, tof_source, plan.tof)
     camera, tof, heard = listen(make_camera, make_tof, link, plan.seconds)
     size = "" if calibration is None else f"{calibration.camera.width} x {calibration.camera.height} px, "
-    exposure = f"{size}{camera_settings.exposure_s * 1e3:g} ms, gain {camera_settings.gain:g}"
-    rate_hz = 0.0 if camera_settings.trigger_source else camera_settings.frame_rate_hz
-    yield from _one_camera(CAMERA, camera, exposure, rate_hz)
-    ranges = f"{tof_settings.depth_min_m:g} to {tof_settings.depth_max_m:g} m"
-    yield from _one_camera(TOF, tof, ranges, tof_settings.frame_rate_hz)
-    yield from _views(plan, calibration, regions, camera, tof, tof_settings)
-    if link is not None:
+    exposure = f"{size}{plan.camera.exposure_s * 1e3:g} ms, gain {plan.camera.gain:g}"
+    yield from _one_camera(CAMERA, camera, exposure, 0.0 if plan.camera.trigger_source else plan.camera.frame_rate_hz)
+    yield from _one_camera(TOF, tof, f"{plan.tof.depth_min_m:g} to {plan.tof.depth_max_m:g} m", plan.tof.frame_rate_hz)
+    yield from _views(plan, calibration, regions, camera, tof)
+    if heard is None:
+        yield not_checked("attitude", "no MAVLink" if AUTOPILOT in payload.parameters else f"no {AUTOPILOT} is planned")
+    else:
         yield autopilot.attitude(heard)
         yield autopilot.timesync(heard)
-    else:
-        yield not_checked("attitude", f"no {AUTOPILOT} in {payload.path}")
 
 
 def _link(payload: Payload) -> Any:
@@ -117,14 +122,13 @@ def _views(
     regions: Regions | None,
     camera: Heard | None,
     tof: Heard | None,
-    tof_settings: TofSettings,
 ) -> Iterator[Finding]:
     """What the cameras see, and whether they see it at the same time."""
     plane, image = None, camera.frame.image if camera and camera.frame else None
     if tof and tof.frame and calibration and calibration.tof:
         yield cameras.tof_intrinsics(calibration.tof, tof.camera)
     if tof and tof.frame and calibration and calibration.tof and regions:
-        findings, plane = panel.depth(tof.frame.depth_m, calibration, regions, plan.settings, tof_settings)
+        findings, plane = panel.depth(tof.frame.depth_m, calibration, regions, plan.settings, plan.tof)
         yield from findings
     else:
         yield from panel.not_looked("it needs a ToF frame, the calibration of both cameras and --regions")
@@ -142,16 +146,12 @@ def _views(
 
 
 def _computer(plan: Plan, calibration: Calibration | None, subsets: int) -> Iterator[Finding]:
-    camera = (
-        AravisSettings() if plan.payload is None else plan.payload.settings("camera_node", "aravis", AravisSettings)
-    )
-    image_bytes = 1440 * 1080 if calibration is None else calibration.camera.width * calibration.camera.height
-    if plan.payload is not None and camera.transport == "gige":
-        yield computer.socket_buffers(camera.socket_buffer_bytes)
+    if plan.camera.transport == "gige":
+        yield computer.socket_buffers(plan.camera.socket_buffer_bytes)
     else:
-        yield computer.usb_memory(camera.buffers * image_bytes)
+        yield computer.usb_memory(plan.camera.buffers * _image_bytes(calibration))
         yield computer.usb_speed()
-    rate = _bytes_per_s(plan, calibration, camera, subsets)
+    rate = _bytes_per_s(plan, calibration, subsets)
     checks: tuple[Callable[[], Finding], ...] = (
         lambda: computer.shared_memory(NODES),
         lambda: computer.free_disk(plan.out, rate, plan.minutes),
@@ -166,11 +166,13 @@ def _computer(plan: Plan, calibration: Calibration | None, subsets: int) -> Iter
         yield check()
 
 
-def _bytes_per_s(plan: Plan, calibration: Calibration | None, camera: AravisSettings, subsets: int) -> float:
+def _image_bytes(calibration: Calibration | None) -> int:
+    return 1440 * 1080 if calibration is None else calibration.camera.width * calibration.camera.height
+
+
+def _bytes_per_s(plan: Plan, calibration: Calibration | None, subsets: int) -> float:
     """What a flight records: images, depth with intensity and confidence, and the fields of all subsets."""
-    tof = TofSettings() if plan.payload is None else plan.payload.settings("tof_node", "tof", TofSettings)
-    image_bytes = 1440 * 1080 if calibration is None else calibration.camera.width * calibration.camera.height
     sensor = None if calibration is None else calibration.tof
     depth_bytes = 6 * (640 * 480 if sensor is None else sensor.width * sensor.height)
-    per_image = image_bytes + SUBSET_BYTES * (subsets or 1500)
-    return camera.frame_rate_hz * per_image + (tof.frame_rate_hz or 20.0) * depth_bytes
+    per_image = _image_bytes(calibration) + SUBSET_BYTES * (subsets or 1500)
+    return plan.camera.frame_rate_hz * per_image + (plan.tof.frame_rate_hz or 20.0) * depth_bytes
