@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
-from functools import partial
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from rgbd_dic_acquisition.calibration import Camera
 from rgbd_dic_acquisition.errors import RgbdDicError
 
 from .compensation import h_2d, h_3d, h_joint, h_pose, pc_3d
 from .compensation.motion import FrameView
 from .displacement_field import DisplacementField
+from .early_frames import EarlyFrames
 from .geometry import Plane, pose_from_homography
 from .joining import FrameJoin, JoinedFrame
 from .pairing import FramePair
@@ -22,6 +26,9 @@ from .sensor_delay import SensorDelay
 from .settings import CompensationSettings
 from .status import FrameStatus
 from .subset_field import Reference, SubsetField
+
+Array = NDArray[np.float64]
+NoPlane = tuple[FrameStatus, str]
 
 SOLVERS = {
     "h_pose": h_pose.compensate,
@@ -36,13 +43,21 @@ LEAST_SIGMA_PX = 1e-5  # what the DIC's iteration leaves, also where two images 
 
 
 class DisplacementMeasurement:
-    """Joins subset fields, pairs and planes, and measures each frame against the reference with one method."""
+    """Joins subset fields, pairs and planes, and measures each frame against the reference with one method.
+
+    A method that takes the plane of the reference alone need not wait for the frame's own ToF frame: with a
+    `plane_lag_s`, that plane rests on the ToF frames of images at least so much earlier, which have long come. Which
+    ones these are depends on the stamps alone.
+    """
 
     def __init__(self, camera: Camera, regions: Regions, settings: CompensationSettings):
         self._camera, self._regions, self._settings = camera, regions, settings
         self._join = FrameJoin(settings.max_waiting)
         self._plane_motion = PlaneMotion()
         self._references: dict[int, ReferenceFrame] = {}
+        early = bool(settings.plane_lag_s) and settings.method not in NEEDS_PLANE_OF_FRAME
+        self._early = EarlyFrames(round(settings.plane_lag_s * 1e9)) if early else None
+        self._no_plane: NoPlane | None = None
 
     def set_reference(self, reference: Reference) -> list[DisplacementField]:
         """A reference was taken. Fields of it that came earlier wait for it."""
@@ -53,6 +68,8 @@ class DisplacementMeasurement:
         return self._measure_all(self._join.add_reference(reference.stamp_ns))
 
     def add_field(self, subset_field: SubsetField) -> list[DisplacementField]:
+        if self._early is not None:
+            self._early.add(subset_field)
         return self._measure_all(self._join.add_field(subset_field))
 
     def add_pair(self, pair: FramePair) -> list[DisplacementField]:
@@ -72,72 +89,128 @@ class DisplacementMeasurement:
         return next(reversed(self._references.values())).sensor_delay()
 
     def _measure_all(self, frames: list[JoinedFrame]) -> list[DisplacementField]:
-        return [self._measure(frame) for frame in frames]
+        """Of frames that are complete; with `plane_lag_s`, of those that need wait no longer."""
+        if self._early is None:
+            return [self._measure(frame, self._learn) for frame in frames]
+        self._early.complete(frames)
+        return [self._measure(frame, self._known) for frame in self._early.leave(self._knows_plane, self._learn_alone)]
 
-    def _measure(self, frame: JoinedFrame) -> DisplacementField:
+    def _knows_plane(self, field: SubsetField) -> bool:
+        base = self._references.get(field.reference_stamp_ns)
+        return base is not None and base.newest_plane_ns is not None
+
+    def _measure(self, frame: JoinedFrame, planes: Callable[..., Planes]) -> DisplacementField:
         base = self._references.get(frame.field.reference_stamp_ns)
-        invalid = partial(_invalid, frame, self._settings.method, base)
-        if frame.field.status != FrameStatus.OK:
-            return invalid(frame.field.status, frame.field.reason)
+        try:
+            seen = self._seen(frame.field, base)
+            return self._displacement(frame, seen, planes(frame, seen))
+        except _Unmeasured as why:
+            return _invalid(frame, self._settings.method, base, why.status, str(why))
+        except (RgbdDicError, np.linalg.LinAlgError) as error:
+            return _invalid(frame, self._settings.method, base, FrameStatus.NOT_COMPENSATED, str(error))
+
+    def _seen(self, field: SubsetField, base: ReferenceFrame | None) -> Seen:
+        if field.status != FrameStatus.OK:
+            raise _Unmeasured(field.status, field.reason)
         if base is None:
-            return invalid(FrameStatus.NOT_COMPENSATED, "its reference is not known here")
-        moved_px = self._camera.undistort(frame.field.moved_px)
-        sigma_px = np.maximum(frame.field.sigma_px.astype(float), LEAST_SIGMA_PX)
+            raise _Unmeasured(FrameStatus.NOT_COMPENSATED, "its reference is not known here")
+        moved_px = self._camera.undistort(field.moved_px)
+        sigma_px = np.maximum(field.sigma_px.astype(float), LEAST_SIGMA_PX)
         fixed = np.flatnonzero(base.fixed & np.isfinite(moved_px + sigma_px).all(axis=1))
         if len(fixed) < self._settings.min_subsets:
-            return invalid(
+            raise _Unmeasured(
                 FrameStatus.NO_FIXED_REGION,
                 f"{len(fixed)} valid subsets in the fixed region, at least {self._settings.min_subsets} needed",
             )
-        seen, no_plane = _plane_of(frame)
-        of_fixed = moved_px[fixed], sigma_px[fixed], fixed
+        return Seen(base, moved_px, sigma_px, fixed)
+
+    def _learn(self, frame: JoinedFrame, seen: Seen) -> Planes:
+        """Take in what a complete frame tells of the reference's plane, and of how the fixed region moves."""
+        base, of_fixed = seen.base, (seen.moved_px[seen.fixed], seen.sigma_px[seen.fixed], seen.fixed)
+        tof_plane, no_plane = _plane_of(frame)
         plane = None
-        if seen is not None:
-            plane = self._plane_motion.at_image(seen, frame.plane.stamp_ns, frame.field.stamp_ns)
+        if tof_plane is not None:
+            plane = self._plane_motion.at_image(tof_plane, frame.plane.stamp_ns, frame.field.stamp_ns)
             no_plane = base.take_in_plane(frame, plane, *of_fixed) or no_plane
-        carried = base.follow(frame, seen, *of_fixed)
-        try:
-            reference_plane = base.plane_for(self._settings.method)
-            if reference_plane is None:
-                why = no_plane[1] if no_plane else "its image was too far from it in time"
-                return invalid(FrameStatus.NO_REFERENCE_PLANE, f"no plane of the panel is known yet: {why}")
-            if plane is None and self._settings.method in NEEDS_PLANE_OF_FRAME:
-                return invalid(*no_plane)
-            pose = None
-            if carried is not None and plane is not None:
-                reference_plane, plane, pose = carried
-            surface = None
-            if base.is_shaped:
-                rigid = self._settings.method not in FINDS_SHAPE
-                if rigid:
-                    base.learn_shape(reference_plane, frame.field, moved_px, sigma_px, fixed)
-                surface = base.surface(reference_plane)
-                reference_plane = surface.plane
-                if rigid:
-                    seed = pose_from_homography(self._camera, base.homography(frame.field), reference_plane)
-                    moved_px = moved_px - surface.parallax_px(seed)
-            view = FrameView(
-                self._camera,
-                base.ideal_px,
-                moved_px,
-                sigma_px,
-                fixed,
-                base.correlation(frame.field),
-                reference_plane,
-                plane,
-                base.homography(frame.field),
-                base.panel_geometry(reference_plane),
-                pose,
-                surface,
-            )
-            compensation = SOLVERS[self._settings.method](view, self._settings)
-            view, surface = base.with_shape(view, compensation, frame.field.stamp_ns)
-            return base.displacement(frame, self._settings.method, view, compensation, surface)
-        except (RgbdDicError, np.linalg.LinAlgError) as error:
-            return invalid(FrameStatus.NOT_COMPENSATED, str(error))
+        self._no_plane = no_plane
+        return Planes(plane, base.follow(frame, tof_plane, *of_fixed), no_plane)
+
+    def _learn_alone(self, frame: JoinedFrame) -> None:
+        """The same of a frame that is measured by itself."""
+        with contextlib.suppress(_Unmeasured):
+            self._learn(frame, self._seen(frame.field, self._references.get(frame.field.reference_stamp_ns)))
+
+    def _known(self, frame: JoinedFrame, seen: Seen) -> Planes:
+        """For a frame that does not wait for its own plane."""
+        return Planes(None, None, self._no_plane)
+
+    def _displacement(self, frame: JoinedFrame, seen: Seen, planes: Planes) -> DisplacementField:
+        base, moved_px, sigma_px, fixed = seen.base, seen.moved_px, seen.sigma_px, seen.fixed
+        plane, pose = planes.of_frame, None
+        reference_plane = base.plane_for(self._settings.method)
+        if reference_plane is None:
+            why = planes.missing[1] if planes.missing else "its image was too far from it in time"
+            raise _Unmeasured(FrameStatus.NO_REFERENCE_PLANE, f"no plane of the panel is known yet: {why}")
+        if plane is None and self._settings.method in NEEDS_PLANE_OF_FRAME:
+            raise _Unmeasured(*planes.missing)
+        if planes.carried is not None and plane is not None:
+            reference_plane, plane, pose = planes.carried
+        surface = None
+        if base.is_shaped:
+            rigid = self._settings.method not in FINDS_SHAPE
+            if rigid:
+                base.learn_shape(reference_plane, frame.field, moved_px, sigma_px, fixed)
+            surface = base.surface(reference_plane)
+            reference_plane = surface.plane
+            if rigid:
+                seed = pose_from_homography(self._camera, base.homography(frame.field), reference_plane)
+                moved_px = moved_px - surface.parallax_px(seed)
+        view = FrameView(
+            self._camera,
+            base.ideal_px,
+            moved_px,
+            sigma_px,
+            fixed,
+            base.correlation(frame.field),
+            reference_plane,
+            plane,
+            base.homography(frame.field),
+            base.panel_geometry(reference_plane),
+            pose,
+            surface,
+        )
+        compensation = SOLVERS[self._settings.method](view, self._settings)
+        view, surface = base.with_shape(view, compensation, frame.field.stamp_ns)
+        return base.displacement(frame, self._settings.method, view, compensation, surface)
 
 
-def _plane_of(frame: JoinedFrame) -> tuple[Plane | None, tuple[FrameStatus, str] | None]:
+@dataclass(frozen=True)
+class Seen:
+    """A frame's subsets, of which `fixed` (M,) are those of the fixed region that were found; as in `FrameView`."""
+
+    base: ReferenceFrame
+    moved_px: Array
+    sigma_px: Array
+    fixed: NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Planes:
+    """of_frame: the plane of a frame's ToF frame at the moment of the image. carried: as of `ReferenceFrame.follow`.
+    missing: why there is none."""
+
+    of_frame: Plane | None
+    carried: tuple[Plane, Plane, tuple[Array, Array]] | None
+    missing: NoPlane | None
+
+
+class _Unmeasured(Exception):
+    def __init__(self, status: FrameStatus, reason: str):
+        super().__init__(reason)
+        self.status = status
+
+
+def _plane_of(frame: JoinedFrame) -> tuple[Plane | None, NoPlane | None]:
     """The plane of a frame, or the status and words for why it has none."""
     if frame.pair is None:
         return None, (FrameStatus.NO_DEPTH_FRAME, "it was never paired with a ToF frame")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +26,9 @@ Array = NDArray[np.float64]
 MSAC_POINTS = 1000  # points of the sample consensus; the fit after it takes all
 MSAC_TRIALS = 200
 LEAST_SIGMA_M = 1e-5  # no depth is believed to be better than this, not even a constant plane's
+COARSE = 8  # distance of the pixels of a depth image that tell where in it the panel is
+MARGIN = 3 * COARSE  # pixels around those that are on it
+NO_PIXEL = "the ToF frame has no valid pixel"
 MAX_WAITING = 32  # ToF frames that wait for the next image before the oldest is given up
 VIEW_LIMIT_S = 0.25  # a ToF frame farther than this from every image has no view to carry the panel region into
 
@@ -61,21 +65,26 @@ class PlaneEstimate:
         return math.sqrt(self.systematic[3, 3]) / -self.plane.d
 
 
-def cloud_of_depth(depth_m: NDArray[np.float32], tof: Camera, rays: Array | None = None) -> Array:
+def cloud_of_depth(depth_m: NDArray[np.float32], tof: Camera) -> Array:
     """Points (N, 3) [m] in the frame of a ToF sensor, from its depth image (rows, cols) [m], NaN invalid.
-
-    Args:
-        rays: (rows, cols, 3) of the sensor, if they are known already.
 
     Raises:
         ImageError: if it is not of the calibrated size.
     """
+    _require_size(depth_m, tof)
+    return _cloud(depth_m, pixel_rays(tof))
+
+
+def _require_size(depth_m: NDArray[np.float32], tof: Camera) -> None:
     if depth_m.shape != (tof.height, tof.width):
         raise ImageError(
             f"depth image is {depth_m.shape[1]} x {depth_m.shape[0]} px, calibrated are {tof.width} x {tof.height} px"
         )
+
+
+def _cloud(depth_m: NDArray[np.float32], rays: Array) -> Array:
+    """Points (N, 3) of a depth image, or of a part of one, and the rays (rows, cols, 3) of its pixels."""
     valid = np.isfinite(depth_m)
-    rays = pixel_rays(tof) if rays is None else rays
     return rays[valid] * depth_m[valid, None].astype(float)
 
 
@@ -163,7 +172,7 @@ class PanelPlane:
         self._tof_delay_ns = tof_delay_ns
         self._rays = None if calibration.tof is None else pixel_rays(calibration.tof)
         self._of_depths, self._of_views = Stretches(), Stretches()
-        self._waiting: deque[tuple[Place, Array | None, str]] = deque()
+        self._waiting: deque[tuple[Place, Callable[[Array], Array] | None, str]] = deque()
         self._views: deque[tuple[Place, Array | None]] = deque(maxlen=64)
         self.take_regions(regions)
 
@@ -181,19 +190,25 @@ class PanelPlane:
         """
         if self._rays is None:
             raise CalibrationError("the calibration has no 'tof': depth images need its intrinsics and extrinsics")
-        points = None
-        if depth_m is not None:
-            try:
-                points = cloud_of_depth(depth_m, self._calibration.tof, self._rays)
-            except ImageError as error:
-                reason = str(error)
-        return self.add_points(stamp_ns, points, reason)
+        if depth_m is None:
+            return self._add(stamp_ns, None, reason)
+        try:
+            _require_size(depth_m, self._calibration.tof)
+        except ImageError as error:
+            return self._add(stamp_ns, None, str(error))
+        reason = reason if np.isfinite(depth_m).any() else NO_PIXEL
+        return self._add(stamp_ns, lambda view: self._near_panel(depth_m, view), reason)
 
     def add_points(self, stamp_ns: int, points_m: Array | None, reason: str = "") -> list[PlaneEstimate]:
         """A ToF point cloud (N, 3) in the ToF frame [m]; rows with NaN are dropped."""
-        if points_m is not None:
-            points_m = points_m[np.isfinite(points_m).all(axis=1)]
-        self._waiting.append((self._of_depths.place(stamp_ns - self._tof_delay_ns), points_m, reason))
+        if points_m is None:
+            return self._add(stamp_ns, None, reason)
+        finite = points_m[np.isfinite(points_m).all(axis=1)]
+        return self._add(stamp_ns, lambda _: finite, reason if len(finite) else NO_PIXEL)
+
+    def _add(self, stamp_ns: int, cloud: Callable[[Array], Array] | None, reason: str) -> list[PlaneEstimate]:
+        """cloud: view -> points (N, 3) in the ToF frame [m] that hold all those on the panel."""
+        self._waiting.append((self._of_depths.place(stamp_ns - self._tof_delay_ns), cloud, reason))
         if len(self._waiting) > MAX_WAITING:
             (_, stamp_ns), _, _ = self._waiting.popleft()
             return [PlaneEstimate(stamp_ns, FrameStatus.NO_PLANE, "no image came after it"), *self._settle()]
@@ -214,17 +229,17 @@ class PanelPlane:
             estimates.append(self._estimate(*self._waiting.popleft()))
         return estimates
 
-    def _estimate(self, place: Place, points_m: Array | None, reason: str) -> PlaneEstimate:
+    def _estimate(self, place: Place, cloud: Callable[[Array], Array] | None, reason: str) -> PlaneEstimate:
         stretch, stamp_ns = place
-        if reason or points_m is None:
+        if reason or cloud is None:
             return PlaneEstimate(stamp_ns, FrameStatus.BAD_DEPTH, reason or "no depth")
-        if not len(points_m):
-            return PlaneEstimate(stamp_ns, FrameStatus.BAD_DEPTH, "the ToF frame has no valid pixel")
         views = [(abs(view_ns - stamp_ns), view) for (of, view_ns), view in self._views if of == stretch]
         away_ns, view = min(views, key=lambda entry: entry[0], default=(math.inf, None))
         if away_ns > VIEW_LIMIT_S * 1e9 or view is None:
             return PlaneEstimate(stamp_ns, FrameStatus.NO_PLANE, "no image near it in which the panel was found")
-        on_panel, reference_px = self.select(points_m, view)
+        on_panel, reference_px = self.select(cloud(view), view)
+        fewer = slice(None, None, math.ceil(max(len(on_panel), 1) / self._settings.max_points))
+        on_panel, reference_px = on_panel[fewer], reference_px[fewer]
         if len(on_panel) < self._settings.min_points:
             return PlaneEstimate(
                 stamp_ns,
@@ -254,7 +269,7 @@ class PanelPlane:
 
     def _step(self, points_m: Array, reference_px: Array, plane: Plane) -> tuple[float, float]:
         """The step of `PlaneEstimate`: from a plane through the points on each side of the crack's line."""
-        if self._crack is None:
+        if self._crack is None or not self._settings.step:
             return math.nan, math.nan
         right = self._crack.beyond(reference_px)
         at_crack = points_m[np.argsort(np.hypot(*(reference_px - self._crack.point).T))[:9]].mean(axis=0)
@@ -281,16 +296,36 @@ class PanelPlane:
         Returns:
             They in the camera frame (N, 3) [m], and where they lie in the raw reference image (N, 2) [px].
         """
-        camera = self._calibration.camera
+        points, reference_px, chosen = self._seen(points_m, homography)
+        return points[chosen], reference_px[chosen]
+
+    def _seen(self, points_m: Array, homography: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """As `select`, of all points, and which of them it selects (N,)."""
+        camera, settings = self._calibration.camera, self._settings
         points = points_m @ self._calibration.R_camera_tof.T + self._calibration.t_camera_tof
-        near_enough = (points[:, 2] >= self._settings.min_distance_m) & (points[:, 2] <= self._settings.max_distance_m)
-        points = points[near_enough]
         reference = camera.distort(apply_homography(np.linalg.inv(homography), camera.project(points)))
         with np.errstate(invalid="ignore"):
             column, row = np.round(np.nan_to_num(reference, nan=-1)).astype(int).T
-        seen = (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
+        seen = (points[:, 2] >= settings.min_distance_m) & (points[:, 2] <= settings.max_distance_m)
+        seen &= (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
         seen[seen] = self._mask[row[seen], column[seen]]
-        return points[seen], reference[seen]
+        return points, reference, seen
+
+    def _near_panel(self, depth_m: NDArray[np.float32], homography: Array) -> Array:
+        """Points (N, 3) [m] of the part of a depth image that holds the panel, whose few pixels in a coarse grid tell
+        where that is; of all of it if the panel is too small for that."""
+        coarse = depth_m[::COARSE, ::COARSE]
+        seen = np.isfinite(coarse)
+        seen[seen] = self._seen(_cloud(coarse, self._rays[::COARSE, ::COARSE]), homography)[2]
+        rows = columns = slice(None)
+        if seen.any():
+            rows, columns = (_around(np.flatnonzero(seen.any(axis=axis)) * COARSE) for axis in (1, 0))
+        return _cloud(depth_m[rows, columns], self._rays[rows, columns])
+
+
+def _around(at: NDArray[np.intp]) -> slice:
+    """From the first to the last, and some more."""
+    return slice(max(at[0] - MARGIN, 0), at[-1] + MARGIN)
 
 
 class PlaneMotion:

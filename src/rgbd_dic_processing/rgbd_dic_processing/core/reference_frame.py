@@ -63,6 +63,18 @@ class ReferenceFrame:
         self.is_shaped, self._tof_tells_bow = shaped, shaped and settings.bow_from == "images_and_tof"
         self._surface = SurfaceEstimate(camera, self.ideal_px, settings.bow_m, settings.robust_sigmas)
 
+    @property
+    def newest_plane_ns(self) -> int | None:
+        """Stamp of the latest ToF frame that the reference plane rests on; None before the first."""
+        return self._planes.latest_ns
+
+    def depth_offset_s(self, frame: JoinedFrame) -> float:
+        """From the ToF frame that a frame was paired with, or else from the latest in the reference plane, to the
+        image [s]; NaN without one."""
+        if frame.pair is not None:
+            return frame.pair.depth_offset_s
+        return math.nan if self.newest_plane_ns is None else (frame.field.stamp_ns - self.newest_plane_ns) * 1e-9
+
     def homography(self, field: SubsetField) -> Array:
         """(3, 3), ideal pixels of the reference -> of an image."""
         return field.homography @ self._from_drawing
@@ -229,7 +241,7 @@ class ReferenceFrame:
             method,
             FrameStatus.OK,
             "",
-            frame.pair.depth_offset_s if frame.pair else math.nan,
+            self.depth_offset_s(frame),
             frame.field.subset_px,
             self.reference.drawn_px.astype(np.float32),
             start[:, :2],

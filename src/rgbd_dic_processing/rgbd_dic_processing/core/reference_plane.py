@@ -31,6 +31,7 @@ class ReferencePlane:
     given the larger uncertainty.
 
     Attributes:
+        latest_ns: stamp of the ToF frame whose plane came in last; None before.
         first: the first plane, carried to the reference; None before.
         mean: the average; None before the first.
         first_agrees: whether the first plane is not one of those left out.
@@ -39,7 +40,7 @@ class ReferencePlane:
 
     def __init__(self, camera: Camera, robust_sigmas: float):
         self._camera, self._robust_sigmas = camera, robust_sigmas
-        self._latest_ns = -1
+        self.latest_ns: int | None = None
         self._carried: deque[WeightedPlane] = deque(maxlen=REMEMBERED)
         self._curvatures: deque[Weighted] = deque(maxlen=REMEMBERED)
         self.first: Plane | None = None
@@ -49,7 +50,7 @@ class ReferencePlane:
 
     def knows(self, depth_stamp_ns: int) -> bool:
         """Whether the plane of this ToF frame was the last that came in."""
-        return depth_stamp_ns == self._latest_ns
+        return depth_stamp_ns == self.latest_ns
 
     def add(
         self,
@@ -82,7 +83,7 @@ class ReferencePlane:
         if carried.normal[2] <= 0 or carried.d >= 0:
             raise MeasurementError("a ToF plane, carried to the reference, lies behind the camera")
         self._carried.append(weighted(carried))
-        self._latest_ns = depth_stamp_ns
+        self.latest_ns = depth_stamp_ns
         if self.first is None:
             self.first = carried
         self.mean = average_planes(self._carried)

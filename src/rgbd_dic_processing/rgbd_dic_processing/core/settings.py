@@ -106,6 +106,14 @@ class PlaneSettings(Settings):
     min_inliers: float = setting(0.5, low=0.05, high=1.0, doc="Smallest share of them that must lie on the plane.")
     min_distance_m: float = setting(0.1, unit="m", low=0.0, high=100.0, doc="Nearer ToF points are dropped.")
     max_distance_m: float = setting(10.0, unit="m", low=0.0, high=1000.0, doc="Farther ToF points are dropped.")
+    max_points: int = setting(
+        1000000,
+        unit="points",
+        low=100,
+        high=10000000,
+        doc="Most ToF points on the panel that are used, evenly taken: fewer take less time and are noisier together.",
+    )
+    step: bool = setting(True, doc="Whether the step across the crack is measured; pc_3d alone needs it.")
     max_residual_m: float = setting(
         0.03, unit="m", low=0.0005, high=1.0, doc="Largest residual RMS of a plane that is believed."
     )
@@ -175,6 +183,14 @@ class CompensationSettings(Settings):
     )
     plane_window_s: float = setting(
         1.0, unit="s", low=0.05, high=60.0, doc="carried: ToF frames up to this long before the image are averaged."
+    )
+    plane_lag_s: float = setting(
+        0.0,
+        unit="s",
+        low=0.0,
+        high=10.0,
+        doc="h_pose, h_joint, h_2d: an image is measured with the ToF frames of images at least this much earlier, "
+        "and waits for none; 0: it waits for its own.",
     )
     max_waiting: int = setting(
         64,

@@ -13,7 +13,7 @@ from rgbd_dic_acquisition.errors import MeasurementError
 from scipy.spatial.transform import Rotation
 
 from ..error_sources import ErrorSource
-from ..geometry import Plane, plane_homography, pose_from_homography, skew
+from ..geometry import Plane, plane_homography, pose_from_homography
 from ..settings import CompensationSettings
 from ..uncertainty import independent_modes, linear_modes
 from .motion import Compensation, FrameView, HomographyMotion, misfit_of, reprojection_rms
@@ -46,11 +46,14 @@ def compensate(view: FrameView, settings: CompensationSettings) -> Compensation:
             f"h_pose: the fixed region moves unlike a rigid plane (residual {residual_px:.2f} px RMS, "
             f"at most {settings.inlier_px:g} px): it may hold the crack, or the reference plane is wrong"
         )
-    dic_modes, coupling = linear_modes(sensitivity(jacobian, weights), sigma_px, view.correlation, fixed)
+    by_pixel = sensitivity(jacobian, weights)
+    dic_modes, coupling = linear_modes(by_pixel, sigma_px, view.correlation, fixed)
     poses = [(displaced(pose, mode), view.reference_plane) for mode in dic_modes]
     for mode in independent_modes(view.reference_plane.inverse_depth_covariance()):
         plane = Plane.from_inverse_depth(view.reference_plane.inverse_depth + mode)
-        poses.append((fit_pose(*data, plane, pose, settings.robust_sigmas)[0], plane))
+        seen = HomographyMotion(plane_homography(view.camera, *pose, plane)).move(view.reference_px[fixed])
+        follows = by_pixel.reshape(6, -1) @ (view.moved_px[fixed] - seen).ravel()  # the fit on it, to first order
+        poses.append((displaced(pose, follows), plane))
     modes = tuple(HomographyMotion(plane_homography(view.camera, *moved, plane)) for moved, plane in poses)
     sources = [ErrorSource.MOTION] * len(dic_modes) + [ErrorSource.REFERENCE_PLANE] * (len(modes) - len(dic_modes))
     return Compensation(motion, modes, tuple(sources), coupling, residual_px, misfit_px)
@@ -99,24 +102,30 @@ def fit_pose(
         lengths = np.sqrt(np.sum(residual**2 / variance, axis=1))
         huber = np.minimum(1, robust_sigmas / np.maximum(lengths, 1e-12))
         weights = huber[:, None] / variance
-        weighted = jacobian * weights
-        step = np.linalg.solve(np.einsum("pma,qma->pq", weighted, jacobian), np.einsum("pma,ma->p", weighted, residual))
+        by_pose = jacobian.reshape(6, -1)
+        weighted = by_pose * weights.ravel()
+        step = np.linalg.solve(weighted @ by_pose.T, weighted @ residual.ravel())
         R, t = displaced((R, t), step)
-        if np.sqrt(np.mean(np.square(np.einsum("p,pma->ma", step, jacobian)))) < CONVERGED_PX:
+        if np.sqrt(np.mean(np.square(step @ by_pose))) < CONVERGED_PX:
             return (R, t), jacobian, weights, misfit_px
     raise MeasurementError("the pose of the fixed region did not converge")
 
 
 def sensitivity(jacobian: Array, weights: Array) -> Array:
     """d (rotation vector, translation) / d pixel, (6, M, 2), of a fit with the Jacobian and weights of `fit_pose`."""
-    weighted = jacobian * weights
-    return np.einsum("pq,qma->pma", np.linalg.inv(np.einsum("pma,qma->pq", weighted, jacobian)), weighted)
+    by_pose = jacobian.reshape(6, -1)
+    weighted = by_pose * weights.ravel()
+    return np.linalg.solve(weighted @ by_pose.T, weighted).reshape(jacobian.shape)
 
 
 def pose_jacobian(focal: Array, turned: Array, moved: Array) -> Array:
     """d pixel / d (rotation vector, translation), (6, M, 2), for R <- exp(w) R, t <- t + dt."""
-    by_point = np.concatenate([-skew(turned), np.broadcast_to(np.eye(3), (len(turned), 3, 3))], axis=2)
-    return pixel_jacobian(focal, np.transpose(by_point, (2, 0, 1)), moved)
+    (x, y, z), depth = turned.T, moved[:, 2]
+    u, v = moved[:, 0] / depth, moved[:, 1] / depth
+    one, zero = np.ones_like(u), np.zeros_like(u)
+    by_u = np.stack([-u * y, z + u * x, -y, one, zero, -u])
+    by_v = np.stack([-z - v * y, v * x, x, zero, one, -v])
+    return np.stack([by_u, by_v], axis=-1) * (focal / depth[:, None])
 
 
 def pixel_jacobian(focal: Array, steps: Array, moved: Array) -> Array:
