@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -45,10 +46,15 @@ class Camera:
                 "Calibrate the camera, or give a calibration.yaml"
             )
 
-    @property
+    @cached_property
     def matrix(self) -> Array:
         """K, (3, 3), upper triangular (the thesis prints its transpose, Eq. 2.4)."""
-        return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]])
+        return _constant([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]])
+
+    @cached_property
+    def inverse_matrix(self) -> Array:
+        """The inverse of K."""
+        return _constant(np.linalg.inv(self.matrix))
 
     def distort(self, points_px: Array) -> Array:
         """Ideal pinhole pixels (N, 2) -> pixels of the raw image (N, 2)."""
@@ -164,6 +170,12 @@ class Calibration:
             raise CalibrationError("T_camera_tof.rotation mirrors space (determinant -1): swap an axis")
         if translation.shape != (3,) or not np.all(np.isfinite(translation)):
             raise CalibrationError(f"T_camera_tof.translation_m must be three numbers: {translation.tolist()}")
+
+
+def _constant(values: Any) -> Array:
+    array = np.array(values, float)
+    array.setflags(write=False)
+    return array
 
 
 def pixel_rays(camera: Camera) -> Array:

@@ -45,6 +45,10 @@ TOF_TOPICS = (
     "tof/confidence/image_raw",
 )
 
+LIVE_WAITING = 3  # frames that a busy node may have to catch up with before it leaves some out
+# What works on every image; put together, these run one after another. A plane takes longer, and comes beside them.
+COMPOSABLE = ("dic_node", "pairing_node", "compensation_node", "crack_opening_node")
+COMPOSED = "composed_nodes"
 SENSOR_TOPICS = (*CAMERA_TOPICS, *TOF_TOPICS, "tof/points", "imu/data")
 
 
@@ -78,11 +82,16 @@ class GraphFiles:
 
 
 def processing_nodes(
-    files: GraphFiles, settings: ProcessingSettings, methods: tuple[str, ...], use_points: bool = False
+    files: GraphFiles,
+    settings: ProcessingSettings,
+    methods: tuple[str, ...],
+    use_points: bool = False,
+    live: bool = False,
 ) -> list[NodeSpec]:
     """DIC, pairing, planes, and a compensation and a crack_opening node for each method.
 
-    With `use_points` the ToF frames come as `tof/points`, else as `tof/depth/image_raw`.
+    With `use_points` the ToF frames come as `tof/points`, else as `tof/depth/image_raw`. With `live`, nodes that are
+    too slow leave frames out, so that latency does not grow; else all frames are measured.
 
     The first method publishes `displacement_field` and `crack_opening`; every other one under its own name, such as
     `h_3d/crack_opening`.
@@ -90,6 +99,7 @@ def processing_nodes(
     calibration = {"calibration_file": str(files.calibration.resolve())}
     regions = {"regions_file": str(files.regions.resolve())}
     stages = settings.as_dict()
+    keep_up = {"keep_up.max_waiting": LIVE_WAITING if live else 0}
 
     def stage(*names: str) -> dict[str, Any]:
         return {f"{name}.{key}": value for name in names for key, value in stages[name].items()}
@@ -100,7 +110,7 @@ def processing_nodes(
             "dic_node",
             CAMERA_TOPICS,
             ("reference", "subset_field"),
-            parameters={**calibration, **regions, **stage("correlation", "search", "renewal")},
+            parameters={**calibration, **regions, **keep_up, **stage("correlation", "search", "renewal")},
         ),
         NodeSpec(
             PROCESSING,
@@ -114,7 +124,13 @@ def processing_nodes(
             "plane_node",
             ("tof/points" if use_points else "tof/depth/image_raw", "subset_field", "reference"),
             ("plane",),
-            parameters={"use_points": use_points, **calibration, **regions, **stage("pairing", "plane")},
+            parameters={
+                "use_points": use_points,
+                **calibration,
+                **regions,
+                **keep_up,
+                **stage("pairing", "plane"),
+            },
         ),
     ]
     for index, method in enumerate(methods):
@@ -128,7 +144,7 @@ def processing_nodes(
                 ("reference", "subset_field", "plane", "frame_pair", "camera/camera_info"),
                 (displacement,),
                 f"compensation_node{suffix}",
-                {**calibration, **regions, **stage("compensation"), "compensation.method": method},
+                {**calibration, **regions, **keep_up, **stage("compensation"), "compensation.method": method},
                 moved,
             ),
             NodeSpec(
@@ -137,7 +153,7 @@ def processing_nodes(
                 (displacement, "reference", "camera/camera_info"),
                 (opening,),
                 f"crack_opening_node{suffix}",
-                {**calibration, **regions, **stage("crack")},
+                {**calibration, **regions, **keep_up, **stage("crack")},
                 moved,
             ),
         ]

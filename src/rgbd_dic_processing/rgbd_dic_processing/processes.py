@@ -14,7 +14,7 @@ import yaml
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 from rgbd_dic_acquisition.errors import RgbdDicError
 
-from .graph import NodeSpec
+from .graph import COMPOSABLE, COMPOSED, PROCESSING, NodeSpec
 
 END_TIMEOUT_S = 10.0
 _PRCTL = getattr(ctypes.CDLL(None), "prctl", None)
@@ -37,17 +37,41 @@ class GraphProcesses:
 
     def start(self, spec: NodeSpec) -> subprocess.Popen:
         """Start one node; its output goes to `<node>.log`."""
+        self._specs[spec.node_name] = spec
+        command = [str(_executable(spec.package, spec.executable)), *self._arguments(spec)]
+        return self._run(spec.node_name, command)
+
+    def start_all(self, specs: list[NodeSpec], composed: bool = False) -> None:
+        """Start nodes; if they are to be `composed`, those that can be in one process together."""
+        together = [spec for spec in specs if composed and spec.executable in COMPOSABLE]
+        if together:
+            command = [str(_executable(PROCESSING, COMPOSED))]
+            for spec in together:
+                command += ["--node", spec.executable, *self._arguments(spec)]
+            self._run(COMPOSED, command)
+        for spec in specs:
+            if spec not in together:
+                self.start(spec)
+
+    @property
+    def pids(self) -> dict[str, int]:
+        """Of each process that was started, by the name of its node."""
+        return {name: process.pid for name, process in self._running.items()}
+
+    def _arguments(self, spec: NodeSpec) -> list[str]:
         parameters = self._folder / f"{spec.node_name}.yaml"
         values = {"use_sim_time": self._use_sim_time and spec.follows_clock, **spec.parameters}
         values = {name: value for name, value in values.items() if value != []}
         parameters.write_text(yaml.safe_dump({"/**": {"ros__parameters": values}}))
-        command = [str(_executable(spec)), "--ros-args", "-r", f"__node:={spec.node_name}"]
+        arguments = ["--ros-args", "-r", f"__node:={spec.node_name}"]
         if self._namespace:
-            command += ["-r", f"__ns:={self._namespace}"]
+            arguments += ["-r", f"__ns:={self._namespace}"]
         for before, after in spec.remappings.items():
-            command += ["-r", f"{before}:={after}"]
-        command += ["--params-file", str(parameters)]
-        with self.log_of(spec.node_name).open("ab" if spec.node_name in self._running else "wb") as log:
+            arguments += ["-r", f"{before}:={after}"]
+        return [*arguments, "--params-file", str(parameters)]
+
+    def _run(self, name: str, command: list[str]) -> subprocess.Popen:
+        with self.log_of(name).open("ab" if name in self._running else "wb") as log:
             process = subprocess.Popen(
                 command,
                 stdout=log,
@@ -57,7 +81,7 @@ class GraphProcesses:
                 start_new_session=True,
                 preexec_fn=_end_with_parent,
             )
-        self._running[spec.node_name], self._specs[spec.node_name] = process, spec
+        self._running[name] = process
         return process
 
     def revive(self, names: Iterable[str]) -> list[str]:
@@ -103,12 +127,12 @@ class GraphProcesses:
         self.end()
 
 
-def _executable(spec: NodeSpec) -> Path:
+def _executable(package: str, name: str) -> Path:
     try:
-        path = Path(get_package_prefix(spec.package), "lib", spec.package, spec.executable)
+        path = Path(get_package_prefix(package), "lib", package, name)
     except PackageNotFoundError as error:
         raise RgbdDicError(
-            f"package {spec.package} is not found: source the workspace's install/setup.bash first"
+            f"package {package} is not found: source the workspace's install/setup.bash first"
         ) from error
     if not path.exists():
         raise RgbdDicError(f"{path} is missing: build the workspace again")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
+from collections.abc import Callable
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -25,17 +26,24 @@ class WatchedPublisher:
         self.sent = 0
         self._last_sent = float("nan")
         self._reported = (time.monotonic(), 0)
+        self._receivers: list[Callable[[Any], None]] = []
 
     def publish(self, message: Any) -> None:
         """Publish a message, or its serialised bytes."""
         self._publisher.publish(message)
+        for receive in self._receivers:
+            receive(message)
         self.sent += 1
         self._last_sent = time.monotonic()
 
     @property
     def matched(self) -> int:
-        """How many subscriptions the publisher is connected to."""
-        return self._publisher.get_subscription_count()
+        """How many subscriptions the publisher is connected to, those in this process that are called among them."""
+        return self._publisher.get_subscription_count() + len(self._receivers)
+
+    def hand_to(self, receive: Callable[[Any], None]) -> None:
+        """Call this, too, with each message that is published from now on."""
+        self._receivers.append(receive)
 
     def destroy(self, node: Node) -> None:
         """Take the publisher down; `sent` and `topic` remain."""
@@ -77,6 +85,11 @@ class Diagnostics:
         watched = WatchedPublisher(publisher)
         self._publishers.append(watched)
         return watched
+
+    @property
+    def outputs(self) -> tuple[WatchedPublisher, ...]:
+        """The publishers that are reported on."""
+        return tuple(self._publishers)
 
     def forget(self, watched: WatchedPublisher) -> None:
         """Report no more on a publisher that is about to be destroyed."""

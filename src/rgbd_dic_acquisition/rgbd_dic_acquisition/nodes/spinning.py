@@ -36,6 +36,11 @@ def run(node_factory: Callable[[], Node], args: Sequence[str] | None = None) -> 
     An RgbdDicError from any of these becomes one line on stderr and exit code 1; anything else is a bug and
     keeps its traceback.
     """
+    return run_together(lambda: [node_factory()], args)
+
+
+def run_together(make_nodes: Callable[[], list[Node]], args: Sequence[str] | None = None) -> int:
+    """As `run`, of several nodes in this process and thread; when the work of one ends, all end."""
     prepare_process()
     program = Path(sys.argv[0]).stem
     signals: list[int] = []  # no Event: its lock may be held by what a signal interrupts, such as another signal
@@ -47,13 +52,16 @@ def run(node_factory: Callable[[], Node], args: Sequence[str] | None = None) -> 
         print(f"{program}: {error}", file=sys.stderr)
         return 1
     try:
-        node = node_factory()
+        nodes = make_nodes()
         executor = EventsExecutor()
-        executor.add_node(node)
+        for node in nodes:
+            executor.add_node(node)
         try:
-            _spin(node, executor, signals)
+            _spin(nodes, executor, signals)
         finally:
-            _close(node, executor)
+            for node in nodes:
+                _close(node, executor)
+            executor.shutdown()
     except RgbdDicError as error:
         print(f"{program}: {error}", file=sys.stderr)
         return 1
@@ -62,14 +70,15 @@ def run(node_factory: Callable[[], Node], args: Sequence[str] | None = None) -> 
     return 0
 
 
-def _spin(node: Node, executor: Any, signals: list[int]) -> None:
+def _spin(nodes: list[Node], executor: Any, signals: list[int]) -> None:
     # EventsExecutor.spin() without a timeout would never notice the signals.
-    work: Iterator[float] = node.work() if hasattr(node, "work") else iter(lambda: TURN_S, None)
+    works: list[Iterator[float]] = [node.work() for node in nodes if hasattr(node, "work")]
     try:
-        for wait_s in work:
-            if signals or not rclpy.ok():
+        while True:
+            waits_s = [next(work, None) for work in works]
+            if None in waits_s or signals or not rclpy.ok():
                 return
-            executor.spin_once(timeout_sec=min(max(wait_s, 0.0), TURN_S))
+            executor.spin_once(timeout_sec=max(min([*waits_s, TURN_S]), 0.0))
     except (ExternalShutdownException, InvalidHandle):
         if rclpy.ok():
             raise
@@ -81,7 +90,6 @@ def _close(node: Node, executor: Any) -> None:
             node.close()
     finally:
         executor.remove_node(node)
-        executor.shutdown()
         node.destroy_node()
 
 

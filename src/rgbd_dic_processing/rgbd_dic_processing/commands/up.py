@@ -88,6 +88,11 @@ def add_parser(commands: Any) -> None:
         metavar="PORT",
         help=f"--viewers, and serve Foxglove on this computer (default: not; without a number: port {FOXGLOVE_PORT})",
     )
+    parser.add_argument(
+        "--composed",
+        action="store_true",
+        help="run the nodes that work on every image in one process (default: each node is a process of its own)",
+    )
     parser.add_argument("--namespace", default="", help="pushed on all names (default: none)")
     parser.add_argument("--domain", type=int, help="ROS domain (default: ROS_DOMAIN_ID, else 0)")
     parser.set_defaults(run=run)
@@ -192,8 +197,7 @@ def _run(
         with GraphWatch(answers, options.namespace, show, states.take) as watch, processes:
             watch.refuse_second_graph(nodes)
             watch.subscribe()
-            for node in nodes:
-                processes.start(node)
+            processes.start_all(nodes, options.composed)
             watch.wait_until_connected(nodes, processes.check)
             for address in addresses:
                 print(f"open {address}", flush=True)

@@ -10,7 +10,7 @@ from scipy.sparse import csr_matrix
 
 from .displacement_field import DisplacementField
 from .error_sources import ErrorSource
-from .uncertainty import quadratic_terms
+from .uncertainty import overlaps, quadratic_terms
 
 Array = NDArray[np.float64]
 Side = tuple[NDArray[np.intp], Array]  # indices (n,) of the subsets of a zone, and what each weighs in its mean
@@ -32,8 +32,7 @@ def variance_parts(
     for zone, shares in sides:
         squared = field.sigma_m[zone].astype(float) ** 2
         component = np.sqrt(np.column_stack([squared[:, :2] @ (axes**2).T, squared[:, 2]])) * shares[:, None]
-        shared = correlation[zone][:, zone]
-        parts[ErrorSource.SUBSETS] += np.sum(component * (shared @ component), axis=0)
+        parts[ErrorSource.SUBSETS] += overlaps(correlation, zone, component)
     terms = [shares @ quadratic_terms(field.position_m[zone]) for zone, shares in sides]
     modes = _in_crack_axes(field.modes @ (terms[1] - terms[0]), axes)
     np.add.at(parts, field.mode_sources.astype(int), modes**2)

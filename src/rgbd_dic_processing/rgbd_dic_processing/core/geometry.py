@@ -63,8 +63,7 @@ class Plane:
 
 def plane_homography(camera: Camera, R: Array, t: Array, plane: Plane) -> Array:
     """H = K (R - t n^T / d) K^-1, (3, 3): ideal pixels of the source frame -> of the target (Eq. 2.3, column form)."""
-    K = camera.matrix
-    return K @ (R - np.outer(t, plane.normal) / plane.d) @ np.linalg.inv(K)
+    return camera.matrix @ (R - np.outer(t, plane.normal) / plane.d) @ camera.inverse_matrix
 
 
 def pose_from_homography(camera: Camera, H: Array, plane: Plane) -> tuple[Array, Array]:
@@ -73,19 +72,23 @@ def pose_from_homography(camera: Camera, H: Array, plane: Plane) -> tuple[Array,
     K^-1 H K = s (R - t n^T / d). Two vectors across n lose the second term, which gives s and R; the rest is t.
     R is the rotation nearest to the (noisy) result.
     """
-    K = camera.matrix
-    M = np.linalg.inv(K) @ H @ K
+    M = camera.inverse_matrix @ H @ camera.matrix
     across = np.linalg.svd(plane.normal[None, :])[2][1:].T
     moved = M @ across
     s = np.sqrt(np.linalg.norm(moved[:, 0]) * np.linalg.norm(moved[:, 1]))
     if np.linalg.det(M) < 0:
         s = -s
     moved = moved / s
-    source = np.column_stack([across, np.cross(across[:, 0], across[:, 1])])
-    target = np.column_stack([moved, np.cross(moved[:, 0], moved[:, 1])])
+    source = np.column_stack([across, _cross(*across.T)])
+    target = np.column_stack([moved, _cross(*moved.T)])
     R = nearest_rotation(target @ source.T)
     t = plane.d * (R - M / s) @ plane.normal
     return R, t
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """np.cross of two vectors, without its cost."""
+    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
 def apply_homography(H: Array, points_px: Array) -> Array:

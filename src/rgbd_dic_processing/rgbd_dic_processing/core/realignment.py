@@ -32,7 +32,7 @@ class Realignment:
         H_0 = K R_0 K^-1 (Eq. 2.6), then the scale -d/f (Eq. 2.7), from the principal point.
         """
         K = self.camera.matrix
-        squared_up = apply_homography(K @ self.R_panel_camera @ np.linalg.inv(K), points_px)
+        squared_up = apply_homography(K @ self.R_panel_camera @ self.camera.inverse_matrix, points_px)
         return (squared_up - K[:2, 2]) * (-self.plane.d / np.diag(K)[:2])
 
     def from_points(self, points_m: Array) -> Array:

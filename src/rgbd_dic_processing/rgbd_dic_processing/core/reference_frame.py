@@ -29,7 +29,7 @@ from .sensor_delay import DelayEstimate, SensorDelay
 from .settings import CompensationSettings
 from .status import FrameStatus
 from .subset_field import Reference, SubsetField
-from .uncertainty import linear_modes, overlap_correlation, quadratic_terms
+from .uncertainty import linear_modes, overlap_correlation, overlaps, quadratic_terms
 
 Array = NDArray[np.float64]
 SHAPED = ("h_pose", "h_joint")  # methods that are told the panel's shape
@@ -181,7 +181,7 @@ class ReferenceFrame:
             MeasurementError: if the motion of the fixed region cannot be estimated.
         """
         some = fixed[:: math.ceil(len(fixed) / SHAPING)]
-        shared = self.correlation(field)[some][:, some].sum() / len(some)
+        shared = overlaps(self.correlation(field), some) / len(some)
         seed = self.homography(field)
         self._surface.learn(plane, self._planes.curvature, moved_px, sigma_px, some, shared, seed)
 

@@ -29,6 +29,13 @@ def overlap_correlation(centres_px: Array, subset_px: float) -> csr_matrix:
     )
 
 
+def overlaps(correlation: csr_matrix, chosen: NDArray[np.intp], weights: Array | float = 1.0) -> Array | float:
+    """sum_ij w_i C_ij w_j over chosen subsets (M,), w (M,) or (M, k): what `correlation[chosen][:, chosen]` gives."""
+    every = np.zeros((correlation.shape[0], *np.shape(weights)[1:]))
+    every[chosen] = weights
+    return np.sum(every * (correlation @ every), axis=0)
+
+
 def linear_modes(
     sensitivity: Array, sigma: Array, correlation: csr_matrix, chosen: NDArray[np.intp]
 ) -> tuple[Array, Array]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from rclpy.node import Node
 from rgbd_dic_acquisition.calibration import Camera
 from rgbd_dic_acquisition.nodes.diagnostics import Diagnostics
@@ -19,6 +21,7 @@ from ..core.sensor_delay import TOLD_AS
 from ..core.settings import CompensationSettings
 from ..core.status import FrameStatus
 from .inputs import STREAM_DEPTH, CameraInput, IdleFlush, sensor_qos
+from .keeping_up import KeepUp
 from .messages import (
     displacement_field_message,
     frame_pair_from_message,
@@ -31,30 +34,31 @@ DELAY_EVERY = 300  # frames after which the delay between the sensors' clocks is
 
 
 class CompensationNode(Node):
-    def __init__(self) -> None:
-        super().__init__("compensation_node")
+    def __init__(self, **options: Any) -> None:
+        super().__init__("compensation_node", **options)
         self._regions = load_regions(declare_path(self, "regions_file", "regions.yaml: the fixed region"))
         self._settings = declare(self, CompensationSettings, "compensation")
-        self._diagnostics = Diagnostics(self)
-        self._output = self._diagnostics.watch(
+        self.diagnostics = Diagnostics(self)
+        self._output = self.diagnostics.watch(
             self.create_publisher(DisplacementFieldMessage, "displacement_field", STREAM_DEPTH)
         )
         self._step: DisplacementMeasurement | None = None
         self._frames, self._delay_warning = 0, ""
-        self._camera = CameraInput(self, self._diagnostics, sensor_qos(self), self._start)
+        self._keep_up = KeepUp(self, self.diagnostics)
+        self.work = self._keep_up.work
+        self._camera = CameraInput(self, self.diagnostics, sensor_qos(self), self._start)
         self._idle = IdleFlush(self, self._flush, IdleFlush.AFTER_OTHERS_S)
 
     def _start(self, camera: Camera) -> None:
         step = self._step = DisplacementMeasurement(camera, self._regions, self._settings)
-        for message_type, topic, convert, add, qos in (
-            (Reference, "reference", reference_from_message, step.set_reference, latched_qos()),
-            (SubsetField, "subset_field", subset_field_from_message, step.add_field, STREAM_DEPTH),
-            (PlaneStamped, "plane", plane_from_message, step.add_plane, STREAM_DEPTH),
-            (FramePair, "frame_pair", frame_pair_from_message, step.add_pair, STREAM_DEPTH),
+        every, newest = self.create_subscription, self._keep_up.subscribe
+        for subscribe, message_type, topic, convert, add, qos in (
+            (every, Reference, "reference", reference_from_message, step.set_reference, latched_qos()),
+            (newest, SubsetField, "subset_field", subset_field_from_message, step.add_field, STREAM_DEPTH),
+            (every, PlaneStamped, "plane", plane_from_message, step.add_plane, STREAM_DEPTH),
+            (every, FramePair, "frame_pair", frame_pair_from_message, step.add_pair, STREAM_DEPTH),
         ):
-            self.create_subscription(
-                message_type, topic, lambda message, c=convert, a=add: self._take(a(c(message))), qos
-            )
+            subscribe(message_type, topic, lambda message, c=convert, a=add: self._take(a(c(message))), qos)
 
     def _take(self, fields: list[DisplacementField]) -> None:
         self._idle.touch()
@@ -67,22 +71,22 @@ class CompensationNode(Node):
     def _look_at_delay(self) -> None:
         delay = self._step.sensor_delay()
         self._delay_warning = delay.warning
-        self._diagnostics.tell(TOLD_AS, str(delay))
+        self.diagnostics.tell(TOLD_AS, str(delay))
         if delay.warning:
-            self._diagnostics.warn(delay.warning)
+            self.diagnostics.warn(delay.warning)
 
     def _publish(self, fields: list[DisplacementField]) -> None:
         for field in fields:
             self._frames += 1
             if self._frames % DELAY_EVERY == 0:
                 self._look_at_delay()
-            self._diagnostics.count("frames")
+            self.diagnostics.count("frames")
             if field.status != FrameStatus.OK:
-                self._diagnostics.count("invalid")
-            if wrong := field.reason or self._delay_warning:
-                self._diagnostics.warn(wrong)
+                self.diagnostics.count("invalid")
+            if wrong := field.reason or self._delay_warning or self._keep_up.warning:
+                self.diagnostics.warn(wrong)
             else:
-                self._diagnostics.ok()
+                self.diagnostics.ok()
             self._output.publish(displacement_field_message(make, field))
 
 

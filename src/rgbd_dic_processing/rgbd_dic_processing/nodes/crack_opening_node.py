@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 from rclpy.node import Node
 from rgbd_dic_acquisition.calibration import Camera
@@ -21,12 +22,13 @@ from ..core.displacement_field import DisplacementField as CoreField
 from ..core.regions_file import load_regions
 from ..core.settings import CrackSettings
 from .inputs import STREAM_DEPTH, CameraInput, OfReference, sensor_qos
+from .keeping_up import KeepUp
 from .messages import crack_opening_message, displacement_field_from_message, reference_from_message
 
 
 class CrackOpeningNode(Node):
-    def __init__(self) -> None:
-        super().__init__("crack_opening_node")
+    def __init__(self, **options: Any) -> None:
+        super().__init__("crack_opening_node", **options)
         path = declare_path(self, "regions_file", "regions.yaml: the zones on the two sides of the crack")
         regions = load_regions(path)
         if regions.crack is None:
@@ -34,14 +36,16 @@ class CrackOpeningNode(Node):
         self._zones = regions.crack
         self._of_reference = OfReference(self._measure)
         self._settings = declare(self, CrackSettings, "crack")
-        self._diagnostics = Diagnostics(self)
-        self._output = self._diagnostics.watch(self.create_publisher(CrackOpening, "crack_opening", STREAM_DEPTH))
-        self._camera = CameraInput(self, self._diagnostics, sensor_qos(self), self._start)
+        self.diagnostics = Diagnostics(self)
+        self._output = self.diagnostics.watch(self.create_publisher(CrackOpening, "crack_opening", STREAM_DEPTH))
+        self._keep_up = KeepUp(self, self.diagnostics)
+        self.work = self._keep_up.work
+        self._camera = CameraInput(self, self.diagnostics, sensor_qos(self), self._start)
 
     def _start(self, camera: Camera) -> None:
         self._crack = CrackMeasurement(camera, self._zones, self._settings)
         self.create_subscription(Reference, "reference", partial(self._reference, camera), latched_qos())
-        self.create_subscription(
+        self._keep_up.subscribe(
             DisplacementField,
             "displacement_field",
             lambda message: self._of_reference.add(displacement_field_from_message(message)),
@@ -56,12 +60,13 @@ class CrackOpeningNode(Node):
 
     def _measure(self, field: CoreField, crack: CrackMeasurement | None) -> None:
         opening = (crack or self._crack).measure(field)
-        self._diagnostics.count("frames")
-        if opening.valid:
-            self._diagnostics.ok()
+        self.diagnostics.count("frames")
+        if not opening.valid:
+            self.diagnostics.count("invalid")
+        if wrong := opening.reason or self._keep_up.warning:
+            self.diagnostics.warn(wrong)
         else:
-            self._diagnostics.count("invalid")
-            self._diagnostics.warn(opening.reason)
+            self.diagnostics.ok()
         latency_s = (time.time_ns() - field.image_received_ns) * 1e-9
         self._output.publish(crack_opening_message(make, replace(opening, latency_s=latency_s)))
 

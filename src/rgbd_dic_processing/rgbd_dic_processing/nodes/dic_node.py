@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from rclpy.node import Node
@@ -29,13 +30,14 @@ from ..core.settings import RenewalSettings, SearchSettings
 from ..core.status import FrameStatus
 from ..core.tracking import SubsetTracking
 from .inputs import STREAM_DEPTH, CameraInput, sensor_qos
+from .keeping_up import KeepUp
 from .messages import reference_message, subset_field_message
 from .preview import PreviewOutput, PreviewSettings
 
 
 class DicNode(Node):
-    def __init__(self) -> None:
-        super().__init__("dic_node")
+    def __init__(self, **options: Any) -> None:
+        super().__init__("dic_node", **options)
         self._regions = load_regions(declare_path(self, "regions_file", "regions.yaml: the panel"))
         self._settings = (
             declare(self, CorrelationSettings, "correlation"),
@@ -45,21 +47,23 @@ class DicNode(Node):
         self._tracking: SubsetTracking | None = None
         self._published_reference = None
         self._keyframe_ns = 0
-        self._diagnostics = Diagnostics(self)
-        self._reference_output = self._diagnostics.watch(
+        self.diagnostics = Diagnostics(self)
+        self._reference_output = self.diagnostics.watch(
             self.create_publisher(ReferenceMessage, "reference", latched_qos())
         )
-        self._output = self._diagnostics.watch(self.create_publisher(SubsetFieldMessage, "subset_field", STREAM_DEPTH))
+        self._output = self.diagnostics.watch(self.create_publisher(SubsetFieldMessage, "subset_field", STREAM_DEPTH))
         self._preview = PreviewOutput(self, declare(self, PreviewSettings, "preview"))
         qos = sensor_qos(self)
-        self._camera = CameraInput(self, self._diagnostics, qos, self._start)
+        self._camera = CameraInput(self, self.diagnostics, qos, self._start)
         for name, step, promise in (
             ("~/set_reference", SubsetTracking.set_reference, "the next good image becomes the reference"),
             ("~/renew_keyframe", SubsetTracking.renew_keyframe, "the next good image becomes the keyframe"),
         ):
             self.create_service(Trigger, name, partial(self._ask, step, promise))
         self.create_service(SetRegions, "~/set_regions", self._set_regions)
-        self.create_subscription(Image, "camera/image_raw", self._image, qos)
+        self._keep_up = KeepUp(self, self.diagnostics)
+        self.work = self._keep_up.work
+        self._keep_up.subscribe(Image, "camera/image_raw", self._image, qos)
 
     def _start(self, camera: Camera) -> None:
         self._tracking = SubsetTracking(camera, self._regions, *self._settings)
@@ -103,10 +107,8 @@ class DicNode(Node):
     def _image(self, message: Image) -> None:
         received_ns = time.time_ns()
         if self._tracking is None:
-            self._diagnostics.count("without camera_info")
-            self._diagnostics.warn(
-                "images come, but no calibration: no calibration_file, and no camera/camera_info yet"
-            )
+            self.diagnostics.count("without camera_info")
+            self.diagnostics.warn("images come, but no calibration: no calibration_file, and no camera/camera_info yet")
             return
         try:
             image, reason = image_from_message(message), ""
@@ -116,16 +118,16 @@ class DicNode(Node):
         frame_id = message.header.frame_id
         self._publish_reference(frame_id)
         if field.keyframe_stamp_ns not in (self._keyframe_ns, field.reference_stamp_ns):
-            self._diagnostics.count("renewed keyframes")
+            self.diagnostics.count("renewed keyframes")
             self.get_logger().info(f"the subsets are now followed from the image at {field.keyframe_stamp_ns} ns")
         self._keyframe_ns = field.keyframe_stamp_ns
-        self._diagnostics.count("images")
+        self.diagnostics.count("images")
         if field.status != FrameStatus.OK:
-            self._diagnostics.count("invalid")
-        if wrong := field.reason or self._tracking.refusal:
-            self._diagnostics.warn(wrong)
+            self.diagnostics.count("invalid")
+        if wrong := field.reason or self._tracking.refusal or self._keep_up.warning:
+            self.diagnostics.warn(wrong)
         else:
-            self._diagnostics.ok()
+            self.diagnostics.ok()
         field = replace(field, image_received_ns=received_ns)
         self._output.publish(subset_field_message(make, field, frame_id))
         if image is not None and image.dtype == np.uint8:

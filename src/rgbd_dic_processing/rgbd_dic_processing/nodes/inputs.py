@@ -11,6 +11,7 @@ from typing import Any, Generic, TypeVar
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
+from rclpy.serialization import deserialize_message
 from rgbd_dic_acquisition.calibration import Calibration, Camera, load_calibration
 from rgbd_dic_acquisition.errors import CalibrationError
 from rgbd_dic_acquisition.nodes.diagnostics import Diagnostics
@@ -45,14 +46,15 @@ class CameraInput:
         path = declare_path(node, "calibration_file", "calibration.yaml; camera_info is used if empty", required=False)
         self.calibration: Calibration | None = load_calibration(path) if path else None
         self.camera: Camera | None = None
-        node.create_subscription(CameraInfo, "camera/camera_info", self._camera_info, qos)
+        node.create_subscription(CameraInfo, "camera/camera_info", self._camera_info, qos, raw=True)
         self._checked = False
         if self.calibration is not None:
             self._take(self.calibration.camera)
 
-    def _camera_info(self, info: CameraInfo) -> None:
+    def _camera_info(self, serialised: bytes) -> None:
         if self._checked:
             return
+        info = deserialize_message(serialised, CameraInfo)
         try:
             seen = Camera.from_camera_info(info)
         except CalibrationError as error:

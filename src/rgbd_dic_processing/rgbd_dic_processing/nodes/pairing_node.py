@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from rclpy.node import Node
+from rclpy.serialization import deserialize_message
 from rgbd_dic_acquisition.in_flight import header_stamp_ns
 from rgbd_dic_acquisition.messages import stamp_to_ns
 from rgbd_dic_acquisition.nodes.diagnostics import Diagnostics
@@ -21,26 +24,26 @@ from .messages import frame_pair_message
 
 
 class PairingNode(Node):
-    def __init__(self) -> None:
-        super().__init__("pairing_node")
+    def __init__(self, **options: Any) -> None:
+        super().__init__("pairing_node", **options)
         settings = declare(self, PairingSettings, "pairing")
         self._pairing, self._attitudes = FramePairing(settings), NearestAttitude(settings.max_attitude_offset_s)
         self._frame_id = ""
-        self._diagnostics = Diagnostics(self)
-        self._output = self._diagnostics.watch(self.create_publisher(FramePairMessage, "frame_pair", STREAM_DEPTH))
+        self.diagnostics = Diagnostics(self)
+        self._output = self.diagnostics.watch(self.create_publisher(FramePairMessage, "frame_pair", STREAM_DEPTH))
         self._idle = IdleFlush(self, lambda: self._publish(self._pairing.flush()))
         qos = sensor_qos(self)
-        self.create_subscription(CameraInfo, "camera/camera_info", self._image, qos)
+        self.create_subscription(CameraInfo, "camera/camera_info", self._image, qos, raw=True)
         self.create_subscription(Imu, "imu/data", self._attitude, qos)
         if self.declare_parameter("use_points", False).value:
             self.create_subscription(PointCloud2, "tof/points", self._points, qos, raw=True)
         else:
             self.create_subscription(CameraInfo, "tof/depth/camera_info", self._depth, qos)
 
-    def _image(self, info: CameraInfo) -> None:
-        self._frame_id = info.header.frame_id
+    def _image(self, serialised: bytes) -> None:
+        self._frame_id = self._frame_id or deserialize_message(serialised, CameraInfo).header.frame_id
         self._idle.touch()
-        self._publish(self._pairing.add_image(stamp_to_ns(info.header.stamp)))
+        self._publish(self._pairing.add_image(header_stamp_ns(serialised)))
 
     def _depth(self, info: CameraInfo) -> None:
         self._idle.touch()
@@ -58,11 +61,11 @@ class PairingNode(Node):
     def _publish(self, pairs: list[FramePair]) -> None:
         for pair in pairs:
             if pair.depth_stamp_ns is not None:
-                self._diagnostics.count("paired")
-                self._diagnostics.ok()
+                self.diagnostics.count("paired")
+                self.diagnostics.ok()
             else:
-                self._diagnostics.count("without ToF frame")
-                self._diagnostics.warn(pair.reason)
+                self.diagnostics.count("without ToF frame")
+                self.diagnostics.warn(pair.reason)
             attitude = self._attitudes.at(pair.stamp_ns)
             self._output.publish(frame_pair_message(make, pair, self._frame_id, attitude))
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from rclpy.node import Node
 from rgbd_dic_acquisition.calibration import load_calibration
 from rgbd_dic_acquisition.errors import ImageError
@@ -22,12 +24,13 @@ from ..core.regions_file import load_regions
 from ..core.settings import PairingSettings, PlaneSettings
 from ..core.subset_field import SubsetField
 from .inputs import STREAM_DEPTH, IdleFlush, OfReference, sensor_qos
+from .keeping_up import KeepUp
 from .messages import plane_message, reference_from_message, subset_field_from_message
 
 
 class PlaneNode(Node):
-    def __init__(self) -> None:
-        super().__init__("plane_node")
+    def __init__(self, **options: Any) -> None:
+        super().__init__("plane_node", **options)
         calibration = load_calibration(
             declare_path(self, "calibration_file", "calibration.yaml: intrinsics of both sensors, extrinsics")
         )
@@ -36,14 +39,16 @@ class PlaneNode(Node):
         self._planes = PanelPlane(calibration, regions, declare(self, PlaneSettings, "plane"), pairing.tof_delay_ns)
         self._of_reference, self._regions = OfReference(self._view), regions
         self._frame_id = "camera_optical_frame"
-        self._diagnostics = Diagnostics(self)
-        self._output = self._diagnostics.watch(self.create_publisher(PlaneStamped, "plane", STREAM_DEPTH))
+        self.diagnostics = Diagnostics(self)
+        self._output = self.diagnostics.watch(self.create_publisher(PlaneStamped, "plane", STREAM_DEPTH))
         self._idle = IdleFlush(self, lambda: self._publish(self._planes.flush()))
         qos = sensor_qos(self)
+        self._keep_up = KeepUp(self, self.diagnostics)
+        self.work = self._keep_up.work
         if self.declare_parameter("use_points", False).value:
-            self.create_subscription(PointCloud2, "tof/points", self._points, qos)
+            self._keep_up.subscribe(PointCloud2, "tof/points", self._points, qos, self._left_out)
         else:
-            self.create_subscription(Image, "tof/depth/image_raw", self._depth, qos)
+            self._keep_up.subscribe(Image, "tof/depth/image_raw", self._depth, qos, self._left_out)
         self.create_subscription(ReferenceMessage, "reference", self._reference, latched_qos())
         self.create_subscription(SubsetFieldMessage, "subset_field", self._subset_field, STREAM_DEPTH)
 
@@ -63,6 +68,9 @@ class PlaneNode(Node):
             points, reason = None, str(error)
         self._publish(self._planes.add_points(stamp_to_ns(message.header.stamp), points, reason))
 
+    def _left_out(self, message: Image | PointCloud2) -> None:
+        self._publish(self._planes.add_points(stamp_to_ns(message.header.stamp), None, self._keep_up.warning))
+
     def _subset_field(self, message: SubsetFieldMessage) -> None:
         self._idle.touch()
         self._frame_id = message.header.frame_id
@@ -80,11 +88,11 @@ class PlaneNode(Node):
 
     def _publish(self, estimates: list[PlaneEstimate]) -> None:
         for estimate in estimates:
-            self._diagnostics.count("planes" if estimate.plane is not None else "invalid")
+            self.diagnostics.count("planes" if estimate.plane is not None else "invalid")
             if estimate.plane is None:
-                self._diagnostics.warn(f"no plane: {estimate.reason}")
+                self.diagnostics.warn(f"no plane: {estimate.reason}")
             else:
-                self._diagnostics.ok()
+                self.diagnostics.ok()
             self._output.publish(plane_message(make, estimate, self._frame_id))
 
 

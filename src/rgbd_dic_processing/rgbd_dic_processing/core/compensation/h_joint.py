@@ -22,7 +22,7 @@ from ..error_sources import ErrorSource
 from ..geometry import Plane, plane_homography, pose_from_homography
 from ..panel_surface import ShapeEvidence, Surface
 from ..settings import CompensationSettings
-from ..uncertainty import independent_modes, linear_modes
+from ..uncertainty import independent_modes, linear_modes, overlaps
 from .h_pose import Pose, displaced, fit_pose, pixel_jacobian, pose_jacobian
 from .joint_problem import CONCENTRATED, POSE, JointProblem
 from .motion import Compensation, FrameView, HomographyMotion, misfit_of
@@ -132,7 +132,7 @@ def fit_joint(view: FrameView, settings: CompensationSettings, surface: Surface 
     known = np.zeros((0, 0)) if surface is None else np.linalg.inv(before.covariance)
     shaped = len(known)
     focal = np.array([camera.fx, camera.fy])
-    shared = view.correlation[used][:, used].sum() / len(used)
+    shared = overlaps(view.correlation, used) / len(used)
     x, strains, misfit_px = np.zeros(shaped + len(modes)), np.full(settings.deformation_order, 1e-3), 0.0
     for iteration in range(MAX_ITERATIONS):
         now = before.changed(x[:shaped]) if shaped else before

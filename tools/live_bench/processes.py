@@ -1,0 +1,75 @@
+"""What processes cost, from /proc: CPU time, and memory of their own (without segments that they share)."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+TICKS = os.sysconf("SC_CLK_TCK")
+PERIOD_S = 1.0
+
+
+class Costs:
+    """Samples processes (name -> pid) and the whole machine once a second, from `start` until `stop`."""
+
+    def __init__(self, pids: Mapping[str, int]) -> None:
+        self._pids = dict(pids)
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._sample, daemon=True)
+        self._times: list[float] = []
+        self._cpu: dict[str, list[float]] = {name: [] for name in self._pids}
+        self._memory: dict[str, list[float]] = {name: [] for name in self._pids}
+        self._machine: list[float] = []
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def stop(self) -> dict[str, dict[str, float]]:
+        """name -> cpu (share of one core), memory at the start, at the end and at most [MB]; `others`: what other
+        programs took of the machine."""
+        self._ended.set()
+        self._thread.join()
+        took_s = self._times[-1] - self._times[0]
+        costs = {}
+        for name, cpu in self._cpu.items():
+            memory = np.array(self._memory[name])
+            early, late = np.array_split(memory, 4)[0], np.array_split(memory, 4)[-1]
+            costs[name] = {
+                "cpu": (cpu[-1] - cpu[0]) / took_s,
+                "memory_early": float(np.median(early)),
+                "memory_late": float(np.median(late)),
+            }
+        all_of_ours = sum(cost["cpu"] for cost in costs.values())
+        costs["others"] = {"cpu": (self._machine[-1] - self._machine[0]) / took_s - all_of_ours}
+        return costs
+
+    def _sample(self) -> None:
+        while True:
+            self._times.append(time.monotonic())
+            for name, pid in self._pids.items():
+                self._cpu[name].append(_cpu_s(pid))
+                self._memory[name].append(_own_memory_mb(pid))
+            self._machine.append(_machine_s())
+            if self._ended.wait(PERIOD_S):
+                return
+
+
+def _cpu_s(pid: int) -> float:
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / TICKS
+
+
+def _own_memory_mb(pid: int) -> float:
+    lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+    return sum(int(line.split()[1]) for line in lines if line.startswith("RssAnon")) / 1024
+
+
+def _machine_s() -> float:
+    """Busy time of all cores: user, nice, system, interrupts, and what a hypervisor took."""
+    fields = [int(value) for value in Path("/proc/stat").read_text().split("\n", 1)[0].split()[1:9]]
+    return (sum(fields) - fields[3] - fields[4]) / TICKS
