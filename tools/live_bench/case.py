@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 from ament_index_python.packages import get_package_share_directory
 from diagnostic_msgs.msg import DiagnosticArray
-from flight import RATE_HZ, Flight, step_for
+from flight import RATE_HZ, Flight, step_for, true_opening_m
+from numpy.typing import NDArray
 from processes import Costs
 from rgbd_dic_acquisition.bag import BagReader
 from rgbd_dic_processing.core.crack import CrackOpening
@@ -73,7 +74,9 @@ def settings_of(case: Case) -> ProcessingSettings:
 def measure(case: Case, played: Flight, folder: Path) -> dict[str, Any]:
     """Run a case in a folder that does not exist yet; returns its results, as JSON has them. The bag is not kept."""
     folder.mkdir(parents=True)
-    nodes = processing_nodes(GraphFiles(played.calibration, played.regions), settings_of(case), ("h_pose",), live=True)
+    settings, files = settings_of(case), GraphFiles(played.calibration, played.regions)
+    truth_m = true_opening_m(played, settings.correlation)
+    nodes = processing_nodes(files, settings, ("h_pose",), live=True)
     if case.recording:
         nodes.append(recorder(folder / "bag", tuple(dict.fromkeys((*SENSORS, *all_topics(nodes))))))
     with Ear() as ear, GraphProcesses(folder / "logs", use_sim_time=False) as processes:
@@ -98,7 +101,7 @@ def measure(case: Case, played: Flight, folder: Path) -> dict[str, Any]:
         finally:
             source.terminate()
             source.wait()
-    results = {"case": asdict(case), "costs": cost, "counters": ear.counters} | _openings(ear, played, folder)
+    results = {"case": asdict(case), "costs": cost, "counters": ear.counters} | _openings(ear, truth_m, folder)
     if case.recording:
         results["recorded"] = _recorded(folder / "bag")
         for path in (folder / "bag").glob("*"):
@@ -122,14 +125,14 @@ def _source(case: Case, played: Flight, nodes: list[NodeSpec], folder: Path) -> 
         return subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT, env=environment)
 
 
-def _openings(ear: Ear, played: Flight, folder: Path) -> dict[str, Any]:
+def _openings(ear: Ear, truth_m: NDArray[np.float64], folder: Path) -> dict[str, Any]:
     """What became of the images after the warm-up."""
     sent = json.loads((folder / "sent.json").read_text())["sent"]
     begin_ns = sent[0][0] + round(WARM_UP_S * 1e9)
     counted = [(stamp_ns, index) for stamp_ns, index in sent if stamp_ns >= begin_ns]
     answered = [(stamp_ns, index, *ear.heard[stamp_ns]) for stamp_ns, index in counted if stamp_ns in ear.heard]
     valid = [(index, opening) for _, index, _, opening in answered if opening.valid]
-    errors = [opening.opening_m - played.opening_m[index] for index, opening in valid]
+    errors = [opening.opening_m - truth_m[index] for index, opening in valid]
     latency_ms = np.array([(heard_ns - stamp_ns) * 1e-6 for stamp_ns, _, heard_ns, _ in answered] or [np.nan])
     missing = np.array([stamp_ns not in ear.heard for stamp_ns, _ in counted])
     return {

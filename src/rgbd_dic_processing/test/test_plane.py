@@ -9,7 +9,7 @@ import pytest
 from rgbd_dic_acquisition.calibration import Calibration, Camera
 from rgbd_dic_acquisition.errors import MeasurementError
 from rgbd_dic_processing.core.geometry import Plane, plane_homography
-from rgbd_dic_processing.core.plane import PanelPlane, PlaneMotion, fit_plane
+from rgbd_dic_processing.core.plane import PanelPlane, PlaneMotion, cloud_of_depth, fit_plane
 from rgbd_dic_processing.core.plane_uncertainty import systematic_covariance
 from rgbd_dic_processing.core.regions import CrackZones, Regions
 from rgbd_dic_processing.core.settings import PlaneSettings
@@ -109,6 +109,38 @@ def test_region_is_carried_into_the_view() -> None:
     step.add_view(1, np.eye(3))
     (wrong,) = step.add_depth(1, depth)
     assert wrong.inliers < wrong.points
+
+
+def test_only_the_part_around_the_panel_is_looked_at_and_that_changes_nothing() -> None:
+    """A noisy depth image gives the very plane of its whole cloud."""
+    random, calibration = np.random.default_rng(5), Calibration(CAMERA, TOF)
+    depth = panel_depth(square_plane())
+    depth = (depth + random.normal(0, 0.005, depth.shape)).astype(np.float32)
+    depth[random.random(depth.shape) < 0.05] = np.nan
+    estimates = []
+    for give in (
+        PanelPlane.add_depth,
+        lambda step, stamp, depth_m: step.add_points(stamp, cloud_of_depth(depth_m, TOF)),
+    ):
+        step = PanelPlane(calibration, REGIONS, PlaneSettings())
+        step.add_view(1, np.eye(3))
+        estimates += give(step, 1, depth)
+    from_depth, from_cloud = estimates
+    assert from_depth.points == from_cloud.points > 500
+    np.testing.assert_array_equal(from_depth.plane.inverse_depth, from_cloud.plane.inverse_depth)
+
+
+def test_fewer_points() -> None:
+    """A third of the points: the plane is as good as the covariance says (4 standard deviations)."""
+    random = np.random.default_rng(6)
+    depth = panel_depth(square_plane())
+    depth = (depth + random.normal(0, 0.005, depth.shape)).astype(np.float32)
+    step = PanelPlane(Calibration(CAMERA, TOF), REGIONS, PlaneSettings(max_points=400))
+    step.add_view(1, np.eye(3))
+    (estimate,) = step.add_depth(1, depth)
+    assert 200 < estimate.points <= 400
+    error = estimate.plane.inverse_depth - square_plane().inverse_depth
+    assert error @ np.linalg.solve(estimate.plane.inverse_depth_covariance(), error) < 16
 
 
 def test_extrinsics() -> None:

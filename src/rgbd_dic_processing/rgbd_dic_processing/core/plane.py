@@ -317,10 +317,11 @@ class PanelPlane:
         coarse = depth_m[::COARSE, ::COARSE]
         seen = np.isfinite(coarse)
         seen[seen] = self._seen(_cloud(coarse, self._rays[::COARSE, ::COARSE]), homography)[2]
-        rows = columns = slice(None)
+        part = np.s_[:, :]
         if seen.any():
-            rows, columns = (_around(np.flatnonzero(seen.any(axis=axis)) * COARSE) for axis in (1, 0))
-        return _cloud(depth_m[rows, columns], self._rays[rows, columns])
+            part = tuple(_around(np.flatnonzero(seen.any(axis=axis)) * COARSE) for axis in (1, 0))
+        every = max(1, math.isqrt(depth_m[part].size // self._settings.max_points))
+        return _cloud(depth_m[part][::every, ::every], self._rays[part][::every, ::every])
 
 
 def _around(at: NDArray[np.intp]) -> slice:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import replace
 
@@ -58,6 +59,7 @@ class ReferenceFrame:
         self._planes = ReferencePlane(camera, settings.robust_sigmas)
         self._carried = CarriedPlanes(settings.plane_window_s)
         self._motion, self._delay = PanelMotion(), DelayEstimate()
+        self._follows, self._shapes = (itertools.cycle([True] + [False] * (settings.learn_every - 1)) for _ in range(2))
         self._accuracy: float | None = None  # of the sensor, relative to the distance
         shaped = bool(settings.bow_m) and settings.method in SHAPED
         self.is_shaped, self._tof_tells_bow = shaped, shaped and settings.bow_from == "images_and_tof"
@@ -127,7 +129,8 @@ class ReferenceFrame:
             asks for it by `plane_in_time`; None if no plane could be carried.
         """
         known = self._planes.mean
-        if known is None:
+        carries = self.settings.plane_in_time == "carried" and self.settings.method in NEEDS_PLANE_OF_FRAME
+        if known is None or not (next(self._follows) or carries):
             return None
         start = pose_from_homography(self.camera, self.homography(frame.field), known)
         points = self.ideal_px[fixed], moved_px, sigma_px
@@ -139,7 +142,7 @@ class ReferenceFrame:
             if plane is not None:
                 self._carried.add(frame.plane.stamp_ns, plane)
                 self._delay.add(frame.plane.stamp_ns, plane)
-            if self.settings.plane_in_time != "carried" or self.settings.method not in NEEDS_PLANE_OF_FRAME:
+            if not carries:
                 return None
             sigma = np.zeros((len(self.ideal_px), 2))
             sigma[fixed] = np.hypot(sigma_px, misfit_px)
@@ -180,6 +183,8 @@ class ReferenceFrame:
         Raises:
             MeasurementError: if the motion of the fixed region cannot be estimated.
         """
+        if not next(self._shapes):
+            return
         some = fixed[:: math.ceil(len(fixed) / SHAPING)]
         shared = overlaps(self.correlation(field), some) / len(some)
         seed = self.homography(field)

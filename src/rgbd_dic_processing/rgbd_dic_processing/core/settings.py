@@ -192,6 +192,13 @@ class CompensationSettings(Settings):
         doc="h_pose, h_joint, h_2d: an image is measured with the ToF frames of images at least this much earlier, "
         "and waits for none; 0: it waits for its own.",
     )
+    learn_every: int = setting(
+        1,
+        unit="images",
+        low=1,
+        high=100,
+        doc="Every so-manieth image tells how the panel is curved, and how the camera moved, for the sensors' delay.",
+    )
     max_waiting: int = setting(
         64,
         unit="frames",
