@@ -2,7 +2,7 @@
 SHELL := /bin/bash
 .DEFAULT_GOAL := help
 .PHONY: help setup setup-camera setup-tof setup-viewers build demo test test-slow test-acquisition sanitize bench
-.PHONY: bench-real validate lint format docs sample lock clean
+.PHONY: bench-real live-bench validate lint format docs sample lock clean
 
 run := tools/run
 
@@ -54,6 +54,9 @@ bench: build                     ## this engine beside its peers: docs/benchmark
 bench-real: build                ## the regression on real images alone
 	@tools/bench/environment.sh
 	@$(run) python tools/bench/run.py --real
+
+live-bench: build                ## the graph live at full size: docs/live.md; FULL=1 ten minutes, QUICK=1 a short run
+	@OPENBLAS_NUM_THREADS=1 $(run) python tools/live_bench/run.py $(if $(FULL),--full) $(if $(QUICK),--quick)
 
 validate: build                  ## chapters 3 and 4 of the thesis beside ours: docs/validation_chapter*.md
 	@$(run) rgbd-dic validate chapter3

@@ -21,6 +21,7 @@ from rgbd_dic_acquisition.simulator.laboratory import LaboratorySettings
 from rgbd_dic_processing.core.settings import ProcessingSettings
 from rgbd_dic_processing.nodes.foxglove_node import FoxgloveSettings
 from rgbd_dic_processing.nodes.inputs import SensorQosSettings
+from rgbd_dic_processing.nodes.keeping_up import KeepUpSettings
 from rgbd_dic_processing.nodes.preview import PreviewSettings
 from rgbd_dic_processing.nodes.view_messages import ViewerSettings
 from rgbd_dic_processing.pages.settings import OperatorSettings
@@ -32,6 +33,7 @@ OFFLINE = ("panel_finding",)  # stages before the graph; no node has their param
 # Groups of parameters of the nodes: the part of the name before the dot, or the node's own.
 NODES: dict[str, type[Settings]] = {
     "sensor_qos": SensorQosSettings,
+    "keep_up": KeepUpSettings,
     "camera_node": CameraNodeSettings,
     "aravis": AravisSettings,
     "tof_node": TofNodeSettings,
@@ -45,7 +47,7 @@ NODES: dict[str, type[Settings]] = {
     "recorder_node": RecorderSettings,
     "player_node": PlayerSettings,
 }
-OF_PROCESSING = ("sensor_qos", "preview", "operator", "viewer", "foxglove")  # of these, the groups of processing nodes
+OF_PROCESSING = ("sensor_qos", "keep_up", "preview", "operator", "viewer", "foxglove")  # of these, of processing nodes
 FLIGHT: dict[str, type[Settings]] = {"flight": FlightSettings} | {
     f"flight.{field.name}": type(field.default)
     for field in dataclasses.fields(FlightSettings)

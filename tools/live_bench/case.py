@@ -136,6 +136,7 @@ def _openings(ear: Ear, truth_m: NDArray[np.float64], folder: Path) -> dict[str,
     latency_ms = np.array([(heard_ns - stamp_ns) * 1e-6 for stamp_ns, _, heard_ns, _ in answered] or [np.nan])
     missing = np.array([stamp_ns not in ear.heard for stamp_ns, _ in counted])
     return {
+        "published": len(sent),
         "sent": len(counted),
         "answered": len(answered),
         "invalid": Counter(opening.reason for *_, opening in answered if not opening.valid),

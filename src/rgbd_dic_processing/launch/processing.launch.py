@@ -21,7 +21,7 @@ def _nodes(context: LaunchContext) -> list[Node]:
     settings, methods = chosen(context)
     files = GraphFiles(path_argument(context, "calibration"), path_argument(context, "regions"))
     use_points, use_sim_time = (is_true(context, name) for name in ("use_points", "use_sim_time"))
-    nodes = processing_nodes(files, settings, methods, use_points)
+    nodes = processing_nodes(files, settings, methods, use_points, live=not use_sim_time)
     if is_true(context, "viewers"):
         nodes.append(viewer(files, use_points))
     return [node_action(spec, use_sim_time) for spec in nodes]

@@ -141,7 +141,7 @@ def processing_nodes(
             NodeSpec(
                 PROCESSING,
                 "compensation_node",
-                ("reference", "subset_field", "plane", "frame_pair", "camera/camera_info"),
+                ("reference", "subset_field", "plane", "frame_pair"),
                 (displacement,),
                 f"compensation_node{suffix}",
                 {**calibration, **regions, **keep_up, **stage("compensation"), "compensation.method": method},
@@ -150,7 +150,7 @@ def processing_nodes(
             NodeSpec(
                 PROCESSING,
                 "crack_opening_node",
-                (displacement, "reference", "camera/camera_info"),
+                (displacement, "reference"),
                 (opening,),
                 f"crack_opening_node{suffix}",
                 {**calibration, **regions, **keep_up, **stage("crack")},

@@ -119,7 +119,10 @@ def run(options: argparse.Namespace) -> int:
         raise RgbdDicError(f"{source.files.regions}: the graph needs an entry 'crack' (see docs/files.md)")
     if source.truth is not None:
         read_truth(source.truth)  # a malformed one is refused before the flight, not after
-    nodes = [*processing_nodes(source.files, settings, methods, source.use_points), *source.sensors]
+    nodes = [
+        *processing_nodes(source.files, settings, methods, source.use_points, live=bool(source.sensors)),
+        *source.sensors,
+    ]
     addresses = []
     if options.viewers or options.foxglove is not None:
         nodes.append(viewer(source.files, source.use_points))

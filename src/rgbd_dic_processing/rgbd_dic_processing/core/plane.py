@@ -320,7 +320,7 @@ class PanelPlane:
         part = np.s_[:, :]
         if seen.any():
             part = tuple(_around(np.flatnonzero(seen.any(axis=axis)) * COARSE) for axis in (1, 0))
-        every = max(1, math.isqrt(depth_m[part].size // self._settings.max_points))
+        every = max(1, math.isqrt(np.count_nonzero(seen) * COARSE**2 // self._settings.max_points))
         return _cloud(depth_m[part][::every, ::every], self._rays[part][::every, ::every])
 
 

@@ -233,7 +233,7 @@ class ReferenceFrame:
         modes, sources = _modes(compensation, realignment, self.ideal_px), list(compensation.sources)
         if surface is not None:
             found = np.isfinite(moved[:, 0])
-            shifts = surface.doubts_px(pose_from_homography(self.camera, view.seed, plane), view.fixed)
+            shifts = surface.doubts_px(view.seed_pose, view.fixed)
             errors = shifts[..., :1] * per_x + shifts[..., 1:] * per_y
             terms = np.linalg.pinv(quadratic_terms(start[found, :2]))
             modes = np.concatenate([modes, np.einsum("qn,knc->kcq", terms, errors[:, found])])

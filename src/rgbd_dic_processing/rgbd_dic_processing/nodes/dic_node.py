@@ -54,7 +54,7 @@ class DicNode(Node):
         self._output = self.diagnostics.watch(self.create_publisher(SubsetFieldMessage, "subset_field", STREAM_DEPTH))
         self._preview = PreviewOutput(self, declare(self, PreviewSettings, "preview"))
         qos = sensor_qos(self)
-        self._camera = CameraInput(self, self.diagnostics, qos, self._start)
+        self._camera = CameraInput(self, self.diagnostics, qos, self._start, compares=True)
         for name, step, promise in (
             ("~/set_reference", SubsetTracking.set_reference, "the next good image becomes the reference"),
             ("~/renew_keyframe", SubsetTracking.renew_keyframe, "the next good image becomes the keyframe"),

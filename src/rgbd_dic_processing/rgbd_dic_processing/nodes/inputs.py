@@ -38,15 +38,24 @@ def sensor_qos(node: Node) -> QoSProfile:
 class CameraInput:
     """The camera's intrinsics: from `calibration_file`, or, without one, from `camera/camera_info`.
 
-    The file wins; a CameraInfo that differs from it is warned about. `on_camera` is called once.
+    The file wins; a CameraInfo that differs from it is warned about where the two are to be compared. `on_camera` is
+    called once.
     """
 
-    def __init__(self, node: Node, diagnostics: Diagnostics, qos: QoSProfile, on_camera: Callable[[Camera], None]):
+    def __init__(
+        self,
+        node: Node,
+        diagnostics: Diagnostics,
+        qos: QoSProfile,
+        on_camera: Callable[[Camera], None],
+        compares: bool = False,
+    ):
         self._node, self._diagnostics, self._on_camera = node, diagnostics, on_camera
         path = declare_path(node, "calibration_file", "calibration.yaml; camera_info is used if empty", required=False)
         self.calibration: Calibration | None = load_calibration(path) if path else None
         self.camera: Camera | None = None
-        node.create_subscription(CameraInfo, "camera/camera_info", self._camera_info, qos, raw=True)
+        if compares or self.calibration is None:
+            node.create_subscription(CameraInfo, "camera/camera_info", self._camera_info, qos, raw=True)
         self._checked = False
         if self.calibration is not None:
             self._take(self.calibration.camera)

@@ -13,7 +13,7 @@ from rgbd_dic_acquisition.errors import MeasurementError
 from scipy.spatial.transform import Rotation
 
 from ..error_sources import ErrorSource
-from ..geometry import Plane, plane_homography, pose_from_homography
+from ..geometry import Plane, plane_homography
 from ..settings import CompensationSettings
 from ..uncertainty import independent_modes, linear_modes
 from .motion import Compensation, FrameView, HomographyMotion, misfit_of, reprojection_rms
@@ -34,8 +34,7 @@ def compensate(view: FrameView, settings: CompensationSettings) -> Compensation:
     """
     fixed = view.fixed
     data = (view.camera, view.reference_px[fixed], view.moved_px[fixed], view.sigma_px[fixed])
-    start = pose_from_homography(view.camera, view.seed, view.reference_plane)
-    pose, jacobian, weights, misfit_px = fit_pose(*data, view.reference_plane, start, settings.robust_sigmas)
+    pose, jacobian, weights, misfit_px = fit_pose(*data, view.reference_plane, view.seed_pose, settings.robust_sigmas)
     motion = HomographyMotion(plane_homography(view.camera, *pose, view.reference_plane))
     sigma_px = np.hypot(view.sigma_px, misfit_px)
     residual = view.moved_px[fixed] - motion.move(view.reference_px[fixed])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,7 +13,7 @@ from scipy.optimize import brentq
 from scipy.sparse import csr_matrix
 
 from ..error_sources import ErrorSource
-from ..geometry import Plane, apply_homography
+from ..geometry import Plane, apply_homography, pose_from_homography
 from ..realignment import Realignment
 
 if TYPE_CHECKING:
@@ -61,6 +62,11 @@ class FrameView:
     panel: PanelGeometry
     carried: tuple[Array, Array] | None = None
     surface: Surface | None = None
+
+    @cached_property
+    def seed_pose(self) -> tuple[Array, Array]:
+        """The pose (R, t) that the seed is, of the reference plane."""
+        return pose_from_homography(self.camera, self.seed, self.reference_plane)
 
     def with_reference_plane(self, reference_plane: Plane) -> FrameView:
         """The frame as it would be with another reference plane: a plane that was carried to it moves along."""
