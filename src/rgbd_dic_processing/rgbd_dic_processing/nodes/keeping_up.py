@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -20,6 +21,7 @@ from rgbd_dic_acquisition.settings import Settings, setting
 
 SKIPPED = "skipped"  # counter on /diagnostics
 WARNED_S = 2.0  # after a message was left out
+EVENTS = 20  # of the executor that a node which lags behind handles between two messages, so that nothing else waits
 
 
 @dataclass(frozen=True)
@@ -40,7 +42,7 @@ class KeepUp:
     looked at, and while more than `max_waiting` wait behind it, it is left out and counted, and the next one's turn
     has come. A node that takes twice as long as messages need to come so works off every second one.
 
-    The node's `work` must be this one's: between two events of the executor it works off one message.
+    The node's `work` must be this one's.
     """
 
     def __init__(self, node: Node, diagnostics: Diagnostics):
@@ -88,7 +90,7 @@ class KeepUp:
         while True:
             if self._waiting:
                 self._turn()
-            yield 0.0 if self._waiting else TURN_S
+            yield from itertools.repeat(0.0, EVENTS) if self._waiting else (TURN_S,)
 
 
 def _come(subscription: Subscription) -> Iterator[Any]:
