@@ -175,7 +175,7 @@ class DisplacementMeasurement:
             reference_plane,
             plane,
             base.homography(frame.field),
-            base.panel_geometry(reference_plane),
+            base.panel_geometry(reference_plane) if self._settings.method == "h_joint" else None,
             pose,
             surface,
         )

@@ -7,6 +7,7 @@ the panel is the plane z = -d.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,13 +28,14 @@ class Realignment:
     R_panel_camera: Array
 
     def from_pixels(self, points_px: Array) -> Array:
-        """Ideal pixels (N, 2) of the reference -> panel coordinates (N, 2) [m].
+        """Ideal pixels (N, 2) of the reference -> panel coordinates (N, 2) [m]."""
+        return apply_homography(self.homography, points_px)
 
-        H_0 = K R_0 K^-1 (Eq. 2.6), then the scale -d/f (Eq. 2.7), from the principal point.
-        """
-        K = self.camera.matrix
-        squared_up = apply_homography(K @ self.R_panel_camera @ self.camera.inverse_matrix, points_px)
-        return (squared_up - K[:2, 2]) * (-self.plane.d / np.diag(K)[:2])
+    @cached_property
+    def homography(self) -> Array:
+        """(3, 3), ideal pixels of the reference -> panel coordinates [m]: H_0 = K R_0 K^-1 (Eq. 2.6), then from the
+        principal point the scale -d/f (Eq. 2.7), which together leave no K on the left."""
+        return np.diag([-self.plane.d, -self.plane.d, 1.0]) @ self.R_panel_camera @ self.camera.inverse_matrix
 
     def from_points(self, points_m: Array) -> Array:
         """Points (N, 3) in the reference camera frame [m] -> panel frame (N, 3) [m]."""

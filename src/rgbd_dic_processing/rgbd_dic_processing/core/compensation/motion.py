@@ -45,7 +45,7 @@ class FrameView:
     reference_plane: the panel in the reference frame.
     plane: the panel in this frame, from the paired ToF frame; None if there is none.
     seed: homography (3, 3) reference -> image that the DIC started from.
-    panel: where the subsets are on the panel.
+    panel: where the subsets are on the panel; None for all methods but h_joint.
     carried: the pose (R, t) along which `plane` was carried from planes of the reference; None if it was not.
     surface: the panel's shape, for a solver that refines it; None where it is flat, or is taken off moved_px already.
     """
@@ -59,7 +59,7 @@ class FrameView:
     reference_plane: Plane
     plane: Plane | None
     seed: Array
-    panel: PanelGeometry
+    panel: PanelGeometry | None
     carried: tuple[Array, Array] | None = None
     surface: Surface | None = None
 
@@ -89,8 +89,7 @@ class HomographyMotion:
 
     def panel_points(self, moved_px: Array, realignment: Realignment) -> Array:
         """Moved centres (N, 2), camera motion removed, in the panel frame (N, 3) [m]; z is NaN."""
-        restored = apply_homography(np.linalg.inv(self.homography), moved_px)
-        in_plane = realignment.from_pixels(restored)
+        in_plane = apply_homography(realignment.homography @ np.linalg.inv(self.homography), moved_px)
         return np.column_stack([in_plane, np.full(len(in_plane), np.nan)])
 
     def reference_points(self, reference_px: Array, realignment: Realignment) -> Array:
