@@ -175,7 +175,7 @@ class DisplacementMeasurement:
             reference_plane,
             plane,
             base.homography(frame.field),
-            base.panel_geometry(reference_plane) if self._settings.method == "h_joint" else None,
+            None if self._settings.method in ("h_pose", "h_2d") else base.panel_geometry(reference_plane),
             pose,
             surface,
         )

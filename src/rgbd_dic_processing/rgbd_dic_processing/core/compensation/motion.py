@@ -45,7 +45,7 @@ class FrameView:
     reference_plane: the panel in the reference frame.
     plane: the panel in this frame, from the paired ToF frame; None if there is none.
     seed: homography (3, 3) reference -> image that the DIC started from.
-    panel: where the subsets are on the panel; None for all methods but h_joint.
+    panel: where the subsets are on the panel; None for h_pose and h_2d, which need not know.
     carried: the pose (R, t) along which `plane` was carried from planes of the reference; None if it was not.
     surface: the panel's shape, for a solver that refines it; None where it is flat, or is taken off moved_px already.
     """
