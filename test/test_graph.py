@@ -66,8 +66,9 @@ def test_budgets_belong_to_the_published_openings(graph: Path) -> None:
 
 
 def test_offsets_and_residuals_are_those_of_the_recording(graph: Path) -> None:
-    """Each image's offset is that of the ToF frame with the nearest stamp in the bag; the ToF sensor's noise is 5 mm,
-    and whole millimetres add 0.3 mm in quadrature. From 2,300 points an RMS is known to 1.5 %: three of that."""
+    """Each image's offset is that of the ToF frame with the nearest stamp in the bag. The ToF sensor's noise is 5 mm along
+    the ray, up to 2 % less along z; whole millimetres add 0.3 mm in quadrature. From 2,300 points an RMS is known to
+    1.5 %, so 40 of them lie within 3.5 times that, and their mean within 1 %."""
     with BagReader(SAMPLE) as bag:
         depths = np.array([stamp_of(m) for _, _, m in bag.messages(["/tof/depth/image_raw"])])
     frames = Run.load(graph).frames
@@ -76,7 +77,8 @@ def test_offsets_and_residuals_are_those_of_the_recording(graph: Path) -> None:
         assert image.depth_offset_s == pytest.approx((image.stamp_ns - nearest) * 1e-9, abs=1e-6)
     assert [plane.stamp_ns for plane in frames.planes] == depths.tolist()
     residuals_mm = 1e3 * np.array([plane.residual_rms_m for plane in frames.planes])
-    np.testing.assert_allclose(residuals_mm, np.hypot(5, 0.29), rtol=0.045)
+    np.testing.assert_allclose(residuals_mm, np.hypot(5, 0.29), rtol=0.02 + 3.5 * 0.015)
+    assert residuals_mm.mean() == pytest.approx(np.hypot(5, 0.29), rel=0.02 + 0.01)
 
 
 def stamp_of(message: Any) -> int:
