@@ -66,9 +66,9 @@ def test_budgets_belong_to_the_published_openings(graph: Path) -> None:
 
 
 def test_offsets_and_residuals_are_those_of_the_recording(graph: Path) -> None:
-    """Each image's offset is that of the ToF frame with the nearest stamp in the bag. The ToF sensor's noise is 5 mm along
-    the ray, up to 2 % less along z; whole millimetres add 0.3 mm in quadrature. From 2,300 points an RMS is known to
-    1.5 %, so 40 of them lie within 3.5 times that, and their mean within 1 %."""
+    """Each image's offset is that of the ToF frame with the nearest stamp in the bag. The ToF sensor's noise is 5 mm
+    along the ray, up to 2 % less along z; whole millimetres add 0.3 mm in quadrature. From 2,300 points an RMS is known
+    to 1.5 %, so 40 of them lie within 3.5 times that, and their mean within 1 %."""
     with BagReader(SAMPLE) as bag:
         depths = np.array([stamp_of(m) for _, _, m in bag.messages(["/tof/depth/image_raw"])])
     frames = Run.load(graph).frames
