@@ -150,7 +150,7 @@ def test_unknown_method(describe) -> None:
 
 def test_point_clouds(describe) -> None:
     started = nodes(describe(PROCESSING / "processing.launch.py"), use_points="true", **NAMED)
-    graph = processing_nodes(SAMPLE_FILES, ProcessingSettings(), ("h_pose",), use_points=True)
+    graph = processing_nodes(SAMPLE_FILES, ProcessingSettings(), ("h_pose",), use_points=True, live=True)
     assert started == expected(graph, use_sim_time=False)
 
 
