@@ -62,10 +62,11 @@ Machine: {machine["cpu"]}, {machine["cores"]} cores. All of the graph, and what 
 For a flight, give the settings that are made for it:
 
 ```
-rgbd-dic up ... --settings $(ros2 pkg prefix rgbd_dic_processing)/share/rgbd_dic_processing/config/live.yaml
+tools/run rgbd-dic up ... --settings src/rgbd_dic_processing/config/live.yaml
 ```
 
-[live.yaml](../src/rgbd_dic_processing/config/live.yaml) says what it changes and why. With the default settings an
+[live.yaml](../src/rgbd_dic_processing/config/live.yaml), which the package installs too, says what it changes and why.
+With the default settings an
 image waits for its own ToF frame and for its plane, which the offline tool need not mind; with these, `h_pose` takes
 the reference plane from the ToF frames up to 0.2 s before the image, and waits for none
 ([decisions](decisions/content_not_arrival.md)). `--composed` puts the nodes that work on every image into one process,
