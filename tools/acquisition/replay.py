@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-from accounting import MIDDLE_NS, Account
+from accounting import Account
 from numpy.typing import NDArray
+from recorded import MIDDLE_NS
 from rendered_flight import RenderedFlight
 from rgbd_dic_acquisition.simulator.ground_truth import save_regions
 from rgbd_dic_processing.core.crack import CrackOpening

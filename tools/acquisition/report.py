@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from accounting import Account, Recorded
+from accounting import Account
 from blocks import table
+from flight_peers import CAMERA, PERIODS_S
+from recorded import Recorded
 from replay import Replayed
-from session import CAMERA, PERIODS_S, Flown
+from session import Flown
 
 # A fault is told after so many periods and so long, and mended so soon after the peer came back.
 PERIODS, TOLD_S, BACK_S = 3, 0.2, 3.0

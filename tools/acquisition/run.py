@@ -23,13 +23,15 @@ from rgbd_dic_processing.core.settings import ProcessingSettings
 
 ROOT = Path(__file__).parents[2]
 sys.path += [str(ROOT / "tools/docs"), str(ROOT / "src/rgbd_dic_acquisition/test")]
-from accounting import Recorded, account  # noqa: E402 - what they import is found by the line above
+from accounting import account  # noqa: E402 - what they import is found by the line above
 from blocks import replace_block  # noqa: E402
 from fake_blaze import compiler  # noqa: E402
+from flight_peers import CAMERA, TOF  # noqa: E402
 from gige_peers import why_not  # noqa: E402
+from recorded import Recorded  # noqa: E402
 from replay import replay  # noqa: E402
 from report import failures, tables  # noqa: E402
-from session import CAMERA, NODES, TOF, Flown, Plan, fly  # noqa: E402
+from session import NODES, Flown, Plan, fly  # noqa: E402
 
 OUT = ROOT / "results/acquisition"
 DOCUMENT = ROOT / "docs/payload.md"

@@ -11,11 +11,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-from autopilot_peers import Peers, free_port
-from fake_blaze import FakeBlaze, producer
-from gige_peers import ADDRESS, our_camera
-from rendered_flight import IMAGE_PERIOD_NS, IMAGE_RATE_HZ, TOF_RATE_HZ, RenderedFlight
+from fake_blaze import producer
+from flight_peers import AUTOPILOT, CAMERA, EXPOSURE_S, FIRST_NICE, TOF, FlightPeers, give_turn
+from gige_peers import ADDRESS
+from rendered_flight import TOF_RATE_HZ, RenderedFlight
 from rgbd_dic_processing.core.settings import ProcessingSettings
 from rgbd_dic_processing.graph import (
     ACQUISITION,
@@ -30,12 +29,7 @@ from rgbd_dic_processing.graph import (
 from rgbd_dic_processing.processes import GraphProcesses
 from rgbd_dic_processing.watch import GraphWatch
 
-EXPOSURE_S = 0.002
-DELIVERY_S = 0.01  # of an attitude, from when it is measured to when it is sent
-ATTITUDE_PERIOD_S = 0.02
-CAMERA, TOF, AUTOPILOT = "camera", "ToF camera", "autopilot"
 NODES = {CAMERA: "camera_node", TOF: "tof_node", AUTOPILOT: "mavlink_node"}
-PERIODS_S = {CAMERA: 1 / IMAGE_RATE_HZ, TOF: 1 / TOF_RATE_HZ, AUTOPILOT: ATTITUDE_PERIOD_S}
 TIME_REFERENCE = "sensor_msgs/msg/TimeReference"
 OTHER_TYPES = {
     "camera/time_reference": TIME_REFERENCE,
@@ -45,9 +39,7 @@ OTHER_TYPES = {
 }
 SETTLE_S = 5.0  # in which the clocks are compared
 RUN_OUT_S = 1.0  # after the part that counts, so that what is on its way arrives
-FIRST_NICE = -10  # of sensors and recorder, as docs/payload.md advises, where that may be set
 BAG, FLOWN = "bag", "flown.json"  # in the folder of a session
-SENT = {CAMERA: "sent.csv", TOF: "blaze/sent.csv", AUTOPILOT: "attitudes.csv"}
 TICKS_A_SECOND = os.sysconf("SC_CLK_TCK")
 
 
@@ -80,68 +72,6 @@ class Flown:
     @classmethod
     def load(cls, folder: Path) -> Flown:
         return cls(**json.loads((folder / FLOWN).read_text()))
-
-
-def sent(folder: Path, peer: str) -> np.ndarray:
-    """(N, k): of each frame of a camera number, host and device time, index; of each attitude host time, w to z."""
-    return np.loadtxt(folder / SENT[peer], np.int64 if peer != AUTOPILOT else float, delimiter=",", ndmin=2)
-
-
-class FlightPeers:
-    """Camera, ToF camera and autopilot of one flight; what they sent is in files of the folder."""
-
-    def __init__(self, rendered: RenderedFlight, folder: Path) -> None:
-        self._rendered, self._folder = rendered, folder
-        self.port = free_port()
-        self._closing = contextlib.ExitStack()
-        self.camera = self._closing.enter_context(
-            our_camera(rendered.images, folder, "--latch", rate_hz=1e9 / IMAGE_PERIOD_NS)
-        )
-        tof = rendered.settings.tof
-        (folder / "blaze").mkdir()
-        size = (tof.width_px, tof.height_px)
-        played = {"played": rendered.depth, "played_ns": rendered.played_ns}
-        self.blaze = FakeBlaze(folder / "blaze", size=size, **played)
-        os.environ.update(self.blaze.environment)
-        self._autopilots = Peers(folder)
-        self._closing.callback(self._autopilots.end)
-        self.autopilot = self._fly()
-        give_turn(self.camera.pid, FIRST_NICE)
-
-    def fail(self, peer: str) -> None:
-        if peer == CAMERA:
-            self.camera.kill()
-        elif peer == TOF:
-            self.blaze["present"] = 0
-        else:
-            self.autopilot.kill()
-
-    def come_back(self, peer: str) -> None:
-        if peer == CAMERA:
-            self.camera.start()
-            give_turn(self.camera.pid, FIRST_NICE)
-        elif peer == TOF:
-            self.blaze["present"] = 1
-        else:
-            self.autopilot = self._fly(boot_s=5.0)
-
-    def _fly(self, **options: float):
-        played = {"played": self._rendered.attitude, "played_ns": self._rendered.played_ns}
-        log = self._folder / SENT[AUTOPILOT]
-        return self._autopilots.mavsdk(
-            f"udpout://{ADDRESS}:{self.port}",
-            delay_s=DELIVERY_S,
-            rate_hz=1 / ATTITUDE_PERIOD_S,
-            log=log,
-            **played,
-            **options,
-        )
-
-    def __enter__(self) -> FlightPeers:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._closing.close()
 
 
 def sensor_nodes(rendered: RenderedFlight, port: int) -> list[NodeSpec]:
@@ -237,13 +167,6 @@ def _graph(folder: Path) -> Iterator[tuple[GraphWatch, GraphProcesses]]:
     processes = GraphProcesses(folder / "logs", False, "")
     with GraphWatch({"h_pose": "crack_opening"}, "", lambda _: None) as watch, processes:
         yield watch, processes
-
-
-def give_turn(process: int, nice: int) -> None:
-    """To all its threads: a camera has a processor of its own, and a driver goes before the processing."""
-    for thread in Path(f"/proc/{process}/task").iterdir():
-        with contextlib.suppress(OSError):  # it has ended, or the right is missing
-            os.setpriority(os.PRIO_PROCESS, int(thread.name), nice)
 
 
 def processor_s(process: int) -> float:
