@@ -120,7 +120,7 @@ def main() -> int:
             hint.locator("xpath=..").get_by_role("button").click()
         picture = Path(folder, "picture.png")
         clip = {"x": SIDEBAR_PX, "y": 0, "width": SIZE["width"] - SIDEBAR_PX, "height": SIZE["height"] - 78}
-        page.screenshot(path=picture, clip=clip)
+        page.screenshot(path=picture, clip=clip, timeout=180_000)
         browser.close()
         small_copy(picture, options.out)
     return 0

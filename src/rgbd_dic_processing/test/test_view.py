@@ -5,7 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from rgbd_dic_acquisition.calibration import Camera
+from rgbd_dic_acquisition.calibration import Calibration, Camera
+from rgbd_dic_acquisition.errors import CalibrationError, ImageError
 from rgbd_dic_acquisition.message_types import make_message, serialise, typestore
 from rgbd_dic_acquisition.messages import points_from_message
 from rgbd_dic_processing.core.crack import CrackOpening
@@ -18,6 +19,7 @@ from rgbd_dic_processing.core.status import FrameStatus
 from rgbd_dic_processing.core.view import BLUE, RED, WHITE, ColourScale, View, Viewing, nearest_plane
 from rgbd_dic_processing.nodes.same_stamp import SameStamp
 from rgbd_dic_processing.nodes.view_messages import ViewerSettings, band_message, cloud_message, view_messages
+from rgbd_dic_processing.nodes.viewer import Viewer
 from scipy.spatial.transform import Rotation
 
 CAMERA = Camera(480, 360, 820.0, 822.0, 239.5, 179.5, -0.25, 0.08)
@@ -247,7 +249,27 @@ def test_the_band_is_in_millimetres() -> None:
 
 def test_the_cloud_knows_how_far_behind_the_plane_it_is() -> None:
     points = PLANE.points(CAMERA.rays(np.random.default_rng(1).uniform(0, 300, (1000, 2)))) + 0.01 * NORMAL
-    message = through_a_bag(cloud_message(make_message, 5, "camera_optical_frame", points, PLANE, 300))
-    kept = np.frombuffer(message.data, "<f4").reshape(-1, 4)
-    assert len(kept) == 250
-    np.testing.assert_allclose(kept[:, 3], 0.01, atol=1e-6)
+    message = through_a_bag(cloud_message(make_message, 5, "camera_optical_frame", points, PLANE))
+    columns = np.frombuffer(message.data, "<f4").reshape(-1, 4)
+    np.testing.assert_allclose(columns[:, :3], points, rtol=1e-6)
+    np.testing.assert_allclose(columns[:, 3], 0.01, atol=1e-6)
+
+
+def test_of_a_depth_image_every_so_manieth_row_and_column_is_shown() -> None:
+    """A wall at 2 m before a ToF sensor that is turned by 90 degrees about z and stands 0.1 m before the camera."""
+    tof = Camera(64, 48, 50.0, 50.0, 31.5, 23.5)
+    turned = Rotation.from_euler("z", 90, degrees=True).as_matrix()
+    calibration = Calibration(CAMERA, tof, turned, np.array([0.0, 0.0, 0.1]))
+    viewer = Viewer(make_message, calibration, ViewerSettings(most_points=200))
+    depth = np.full((48, 64), 2.0, np.float32)
+    depth[0, 0] = np.nan
+    message = through_a_bag(viewer.cloud_of_depth(5, "camera_optical_frame", depth))
+    points = points_from_message(message)
+    assert len(points) == 16 * 12 - 1  # every fourth
+    np.testing.assert_allclose(points[:, 2], 2.1, rtol=1e-6)
+    seen = {tuple(p) for p in np.round(tof.project((points - [0, 0, 0.1]) @ turned)).astype(int).tolist()}
+    assert seen == {(x, y) for x in range(0, 64, 4) for y in range(0, 48, 4)} - {(0, 0)}
+    with pytest.raises(ImageError, match="64 x 48"):
+        viewer.cloud_of_depth(5, "camera_optical_frame", depth[:10])
+    with pytest.raises(CalibrationError, match="tof"):
+        Viewer(make_message, Calibration(CAMERA), ViewerSettings()).cloud_of_depth(5, "", depth)

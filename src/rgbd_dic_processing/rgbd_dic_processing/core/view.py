@@ -53,6 +53,7 @@ class Viewing:
 
     def __init__(self, camera: Camera):
         self._camera = camera
+        self._centres = self._ideal = np.zeros((0, 2))
         self._maps: dict[tuple[int, ...], tuple[Camera, NDArray, NDArray]] = {}
 
     def view(
@@ -77,7 +78,9 @@ class Viewing:
         outlines = carried_ideal(regions, self._camera, homography) if regions is not None else {}
         rays = {name: [self._camera.rays(polygon) for polygon in polygons] for name, polygons in outlines.items()}
         displacement, sigma = _in_crack_axes(self._camera, regions, field)
-        moved = apply_homography(homography, self._camera.undistort(field.centres_px.astype(float)))
+        if not np.array_equal(field.centres_px, self._centres):  # the same for all images of a reference
+            self._centres, self._ideal = field.centres_px, self._camera.undistort(field.centres_px.astype(float))
+        moved = apply_homography(homography, self._ideal)
         shown = np.isfinite(displacement[:, 0]) & np.isfinite(moved).all(axis=1)
         subset_rays = self._camera.rays(moved[shown])
         return View(

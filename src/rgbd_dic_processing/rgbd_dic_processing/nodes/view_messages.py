@@ -34,7 +34,7 @@ class ViewerSettings(Settings):
     """What viewers are sent of each picture; the pictures are those of `preview`."""
 
     most_marks: int = setting(
-        1500, unit="subsets", low=1, high=20000, doc="most that are marked in the picture: every mark costs"
+        800, unit="subsets", low=1, high=20000, doc="most that are marked in the picture: every mark costs"
     )
     most_points: int = setting(20000, unit="points", low=1, high=1000000, doc="most that are sent of a ToF cloud")
 
@@ -75,16 +75,10 @@ def band_message(make: MessageFactory, opening: CrackOpening, frame_id: str) -> 
     )
 
 
-def cloud_message(
-    make: MessageFactory, stamp_ns: int, frame_id: str, points_m: Array, plane: Plane | None, most: int
-) -> Any:
-    """Points (N, 3) in the camera's frame [m], every so-manieth if there are more than `most`.
-
-    Its field `behind` is how far a point lies behind the plane [m]; NaN without one.
-    """
-    points = points_m[:: max(1, -(-len(points_m) // most))]
-    behind = points @ plane.normal + plane.d if plane is not None else np.full(len(points), np.nan)
-    return _cloud(make, stamp_ns, frame_id, _xyz(points) | {"behind": behind})
+def cloud_message(make: MessageFactory, stamp_ns: int, frame_id: str, points_m: Array, plane: Plane | None) -> Any:
+    """Points (N, 3) in the camera's frame [m]; `behind` is how far each lies behind the plane [m], NaN without one."""
+    behind = points_m @ plane.normal + plane.d if plane is not None else np.full(len(points_m), np.nan)
+    return _cloud(make, stamp_ns, frame_id, _xyz(points_m) | {"behind": behind})
 
 
 def _subsets(make: MessageFactory, stamp_ns: int, frame_id: str, view: View, colours: Array) -> Any:
