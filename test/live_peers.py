@@ -10,11 +10,12 @@ from gige_peers import ADDRESS
 from shown_crack import EXPOSURE_NS, ShownCrack
 
 DOMAIN = 42
+NOBODY = "127.0.0.99"  # where no camera is
 
 
-def payload(path: Path, shown: ShownCrack, port: int | None = None) -> Path:
+def payload(path: Path, shown: ShownCrack, port: int | None = None, address: str = ADDRESS) -> Path:
     """payload.yaml of the fake sensors; without a port, without an autopilot."""
-    aravis = {"transport": "gige", "address": ADDRESS, "frame_rate_hz": 5.0, "packet_bytes": 8000, "gain": 0.0}
+    aravis = {"transport": "gige", "address": address, "frame_rate_hz": 5.0, "packet_bytes": 8000, "gain": 0.0}
     aravis["exposure_s"] = EXPOSURE_NS * 1e-9
     nodes = {
         "camera_node": {"source": "aravis", "calibration": str(shown.files.calibration), "aravis": aravis},

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 from autopilot_peers import Peers, free_port
-from gige_peers import ADDRESS, needs_aravis, our_camera
-from live_peers import DOMAIN, payload
+from gige_peers import needs_aravis, our_camera
+from live_peers import DOMAIN, NOBODY, payload
 from shown_crack import SHOWN_HZ, ShownCrack
 from system import rgbd_dic
 
@@ -48,13 +48,13 @@ def test_sensors_that_are_well(tmp_path: Path, shown: ShownCrack, blaze) -> None
 @needs_aravis
 def test_sensors_that_are_not_there(tmp_path: Path, shown: ShownCrack, blaze) -> None:
     blaze["present"] = 0
-    file = payload(tmp_path / "payload.yaml", shown, free_port())
+    file = payload(tmp_path / "payload.yaml", shown, free_port(), NOBODY)
     done = rgbd_dic("check", "--payload", file, "--regions", shown.files.regions, "--domain", str(DOMAIN))
     assert done.returncode == 1
     levels = lines(done.stdout)
     assert {levels[name] for name in ("camera", "ToF camera", "attitude")} == {"FAIL"}
     assert {levels[name] for name in ("light", "plane", "pairing")} == {"-"}
-    assert f"no camera answers at {ADDRESS}" in done.stdout and "-> " in done.stdout
+    assert f"no camera answers at {NOBODY}" in done.stdout and "-> " in done.stdout
 
 
 def test_nothing_is_given(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
