@@ -27,7 +27,7 @@ from accounting import account  # noqa: E402 - what they import is found by the 
 from blocks import replace_block  # noqa: E402
 from fake_blaze import compiler  # noqa: E402
 from flight_peers import CAMERA, TOF  # noqa: E402
-from gige_peers import why_not  # noqa: E402
+from gige_peers import ADDRESS, why_not  # noqa: E402
 from recorded import Recorded  # noqa: E402
 from replay import replay  # noqa: E402
 from report import failures, tables  # noqa: E402
@@ -87,6 +87,9 @@ def main() -> int:
     flown = Flown.load(folder) if given.judge else fly(rendered, settings, size.plan, folder)
     recorded = Recorded(folder, flown, rendered)
     accounts = {peer: account(peer, folder, flown, recorded, rendered) for peer in NODES}
+    if not accounts[CAMERA].index:
+        print(f"FAILED: no image was recorded: does another program use {ADDRESS}?", file=sys.stderr)
+        return 1
     measured = replay(folder, rendered, settings, accounts[CAMERA], accounts[TOF])
     report = tables(flown, recorded, accounts, measured)
     (folder / "report.md").write_text(report)
