@@ -101,7 +101,7 @@ def publish(calibration_path: Path) -> None:
         field = DisplacementField(
             *(stamp_ns, 1, 1, "h_pose", FrameStatus.OK, "", 0.0, 31.0),
             *(centres.astype(np.float32), position, displacement, sigma),
-            *(np.zeros((6, 3, 6)), np.zeros((6, 2, 3)), 0.0, np.nan, 0.01),
+            *(np.zeros((6, 3, 6)), np.zeros(6, np.uint8), np.zeros((6, 2, 3)), 0.0, np.nan, 0.01),
         )
         outputs["displacement_field"].publish(displacement_field_message(make, field))
         opening = CrackOpening(

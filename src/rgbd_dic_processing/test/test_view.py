@@ -50,7 +50,7 @@ def field_of(regions: Regions | None = REGIONS) -> DisplacementField:
         points[:, :2],
         displacement,
         np.full((len(centres), 3), 2e-6, np.float32),
-        *(np.zeros((0, 3, 6)), np.zeros((0, 2, 3)), 0.0, np.nan, 0.01),
+        *(np.zeros((0, 3, 6)), np.zeros(0, np.uint8), np.zeros((0, 2, 3)), 0.0, np.nan, 0.01),
     )
 
 
