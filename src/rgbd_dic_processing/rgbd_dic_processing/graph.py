@@ -217,7 +217,7 @@ def recorder(output: Path, topics: tuple[str, ...]) -> NodeSpec:
         "recorder_node",
         topics,
         (),
-        parameters={"output": str(output.resolve()), "topics": entries, "queue_depth": 1000},
+        parameters={"output": str(output.resolve()), "topics": entries},
     )
 
 
