@@ -202,6 +202,10 @@ graph that needs twice the time measures every second image, the age of what it 
 on. The recorder takes every image all the same, so the offline tool measures them all afterwards. In a replay nothing
 is left out.
 
+That holds where the graph has the cores for itself. Where other programs want both of them as well, it does not yet: in
+a run of ten seconds beside programs that took 83 to 131 % of a core, 135 images in a row were left out, and the 99th
+percentile of the latency was 1.8 s apart and 3.3 s composed. The recorder had every image.
+
 The slowest case above shows it: {worst["case"]["subsets"]:,} subsets, settings {worst["case"]["settings"]}:
 {worst["rate_hz"]:.1f} openings a second, at most {worst["longest_gap"]} images left out in a row, median latency
 {halves[0]:.0f} ms in the first half and {halves[1]:.0f} ms in the second
