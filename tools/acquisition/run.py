@@ -22,7 +22,7 @@ from rgbd_dic_acquisition.simulator.flight import FlightSettings
 from rgbd_dic_processing.core.settings import ProcessingSettings
 
 ROOT = Path(__file__).parents[2]
-sys.path += [str(ROOT / "tools/docs"), str(ROOT / "src/rgbd_dic_acquisition/test")]
+sys.path += [str(ROOT / "tools"), str(ROOT / "tools/docs"), str(ROOT / "src/rgbd_dic_acquisition/test")]
 from accounting import account  # noqa: E402 - what they import is found by the line above
 from blocks import replace_block  # noqa: E402
 from fake_blaze import compiler  # noqa: E402

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import json
-import os
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -14,6 +13,7 @@ from pathlib import Path
 from fake_blaze import producer
 from flight_peers import AUTOPILOT, CAMERA, EXPOSURE_S, FIRST_NICE, TOF, FlightPeers, give_turn
 from gige_peers import ADDRESS
+from process_cost import processor_s
 from rendered_flight import TOF_RATE_HZ, RenderedFlight
 from rgbd_dic_processing.core.settings import ProcessingSettings
 from rgbd_dic_processing.graph import (
@@ -40,7 +40,6 @@ OTHER_TYPES = {
 SETTLE_S = 5.0  # in which the clocks are compared
 RUN_OUT_S = 1.0  # after the part that counts, so that what is on its way arrives
 BAG, FLOWN = "bag", "flown.json"  # in the folder of a session
-TICKS_A_SECOND = os.sysconf("SC_CLK_TCK")
 
 
 @dataclass(frozen=True)
@@ -167,9 +166,3 @@ def _graph(folder: Path) -> Iterator[tuple[GraphWatch, GraphProcesses]]:
     processes = GraphProcesses(folder / "logs", False, "")
     with GraphWatch({"h_pose": "crack_opening"}, "", lambda _: None) as watch, processes:
         yield watch, processes
-
-
-def processor_s(process: int) -> float:
-    """User and system time of a process [s]."""
-    fields = Path(f"/proc/{process}/stat").read_text().rsplit(")", 1)[1].split()
-    return (int(fields[11]) + int(fields[12])) / TICKS_A_SECOND

@@ -21,6 +21,9 @@ from pathlib import Path
 import aiohttp
 import numpy as np
 
+sys.path.append(str(Path(__file__).parents[1]))
+from process_cost import processor_s
+
 WIDTH, HEIGHT, RATE_HZ, SUBSETS, PORT = 1440, 1080, 60.0, 12_000, 8497
 REGIONS = """panel: [[100, 100], [1340, 100], [1340, 980], [100, 980]]
 fixed: [[[100, 100], [600, 100], [600, 980], [100, 980]]]
@@ -122,12 +125,6 @@ def wait_for_page() -> None:
     time.sleep(5.0)
 
 
-def cpu_s(pid: int) -> float:
-    """User and system time of a process so far [s]."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--publish", action="store_true", help=argparse.SUPPRESS)
@@ -172,10 +169,10 @@ def main() -> int:
             for viewer in viewers:
                 viewer.start()
             time.sleep(5.0)
-            before, pictures, start = [cpu_s(p.pid) for p in (page, graph)], taken.value, time.monotonic()
+            before, pictures, start = [processor_s(p.pid) for p in (page, graph)], taken.value, time.monotonic()
             time.sleep(options.seconds)
             took = time.monotonic() - start
-            used = [100 * (cpu_s(p.pid) - b) / took for p, b in zip((page, graph), before, strict=True)]
+            used = [100 * (processor_s(p.pid) - b) / took for p, b in zip((page, graph), before, strict=True)]
             rate = (taken.value - pictures) / took / max(len(pauses), 1)
             print(f"| {words} | {used[0]:.1f} | {used[1]:.1f} | {rate:.1f} |", flush=True)
             for viewer in viewers:

@@ -19,7 +19,8 @@ import time
 from pathlib import Path
 
 import numpy as np
-from page_cost import HEIGHT, RATE_HZ, REGIONS, SUBSETS, WIDTH, cpu_s
+from page_cost import HEIGHT, RATE_HZ, REGIONS, SUBSETS, WIDTH
+from process_cost import processor_s  # page_cost makes it found
 
 ROOT = Path(__file__).parents[2]
 sys.path += [str(ROOT / "test"), str(ROOT / "tools" / "docs")]
@@ -197,10 +198,10 @@ def main() -> int:
                 for viewer in viewers:
                     viewer.start()
                 time.sleep(6.0)
-                before, pictures, start = [cpu_s(p.pid) for p in processes], taken.value, time.monotonic()
+                before, pictures, start = [processor_s(p.pid) for p in processes], taken.value, time.monotonic()
                 time.sleep(options.seconds)
                 took = time.monotonic() - start
-                used = [100 * (cpu_s(p.pid) - b) / took for p, b in zip(processes, before, strict=True)]
+                used = [100 * (processor_s(p.pid) - b) / took for p, b in zip(processes, before, strict=True)]
                 rows.append((words, *(f"{share:.1f}" for share in used), f"{(taken.value - pictures) / took:.1f}"))
                 print(*rows[-1], sep=" | ", flush=True)
                 for viewer in viewers:

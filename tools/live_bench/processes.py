@@ -1,8 +1,8 @@
-"""What processes cost, from /proc: CPU time, and memory of their own (without segments that they share)."""
+"""What the processes of a graph cost while it runs, beside the rest of the machine."""
 
 from __future__ import annotations
 
-import os
+import sys
 import threading
 import time
 from collections.abc import Mapping
@@ -10,7 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-TICKS = os.sysconf("SC_CLK_TCK")
+sys.path.append(str(Path(__file__).parents[1]))
+from process_cost import TICKS, own_memory_mb, processor_s
+
 PERIOD_S = 1.0
 
 
@@ -52,21 +54,11 @@ class Costs:
         while True:
             self._times.append(time.monotonic())
             for name, pid in self._pids.items():
-                self._cpu[name].append(_cpu_s(pid))
-                self._memory[name].append(_own_memory_mb(pid))
+                self._cpu[name].append(processor_s(pid))
+                self._memory[name].append(own_memory_mb(pid))
             self._machine.append(_machine_s())
             if self._ended.wait(PERIOD_S):
                 return
-
-
-def _cpu_s(pid: int) -> float:
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / TICKS
-
-
-def _own_memory_mb(pid: int) -> float:
-    lines = Path(f"/proc/{pid}/status").read_text().splitlines()
-    return sum(int(line.split()[1]) for line in lines if line.startswith("RssAnon")) / 1024
 
 
 def _machine_s() -> float:

@@ -25,14 +25,11 @@ from rgbd_dic_acquisition.nodes.spinning import prepare_process
 from rgbd_dic_acquisition.simulator.sensors import FLIR
 from sensor_msgs.msg import Image
 
+sys.path.append(str(Path(__file__).parents[1]))
+from process_cost import processor_s
+
 ADDRESS = "127.0.0.1"
 SETTLE_S = 3.0
-
-
-def processor_s(process: int) -> float:
-    """User and system time of a process [s]."""
-    fields = Path(f"/proc/{process}/stat").read_text().rsplit(")", 1)[1].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def main() -> int:

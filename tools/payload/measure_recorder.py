@@ -15,7 +15,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import re
 import shutil
 import struct
 import subprocess
@@ -38,8 +37,10 @@ from rgbd_dic_acquisition.nodes.ros_messages import message_class
 from rgbd_dic_acquisition.nodes.spinning import prepare_process
 
 ROOT = Path(__file__).parents[2]
+sys.path.append(str(ROOT / "tools"))
+from process_cost import TICKS, own_memory_mb, processor_s  # noqa: E402 - found by the line above
+
 DOMAIN = os.environ.get("ROS_DOMAIN_ID", "75")
-TICKS = os.sysconf("SC_CLK_TCK")
 KEPT_FILES = 2
 ROWS = 8  # of the table over time
 SETTLE_S = 3.0
@@ -135,13 +136,8 @@ class Recorder:
         for thread in Path(f"/proc/{self.process.pid}/task").iterdir():
             middleware = (thread / "comm").read_text().startswith("dds")
             first = int(thread.name) == self.process.pid
-            spent["middleware" if middleware else "taking" if first else "writing"] += _spent_s(thread)
+            spent["middleware" if middleware else "taking" if first else "writing"] += processor_s(thread)
         return spent
-
-    def memory_mb(self) -> float:
-        """Its own, without what it shares with other processes."""
-        text = Path(f"/proc/{self.process.pid}/status").read_text()
-        return int(re.search(r"RssAnon:\s+(\d+)", text)[1]) / 1024
 
     def close(self) -> None:
         self.process.terminate()
@@ -221,11 +217,13 @@ def watch(recorder: Recorder, publisher: subprocess.Popen, bag: Bag, seconds: fl
             recorder.listen(min(1.0, left))
             bag.look()
             most_waiting = max(most_waiting, float(recorder.told["waiting for the disk [MB]"]))
-            most_mb = max(most_mb, recorder.memory_mb())
+            most_mb = max(most_mb, own_memory_mb(recorder.process.pid))
         now, total = time.monotonic(), sum(recorder.threads_s().values())
         share = 100 * (total - before[1]) / (now - before[0])
         rate = recorder.told["rate [MB/s]"]
-        rows.append(f"| {now - begun + SETTLE_S:.0f} | {share:.1f} | {recorder.memory_mb():.0f} | {rate} |")
+        rows.append(
+            f"| {now - begun + SETTLE_S:.0f} | {share:.1f} | {own_memory_mb(recorder.process.pid):.0f} | {rate} |"
+        )
         before = (now, total)
     took_s = time.monotonic() - begun
     shares = {kind: 100 * (s - spent[kind]) / took_s for kind, s in recorder.threads_s().items()}
@@ -256,13 +254,7 @@ def tables(said: dict, recorded: Counter[str], cost: tuple[list[str], str], told
 
 
 def _process_s(process: subprocess.Popen) -> float:
-    return 0.0 if process.poll() is not None else _spent_s(Path(f"/proc/{process.pid}"))
-
-
-def _spent_s(of: Path) -> float:
-    """User and system time of a process or thread [s]."""
-    fields = (of / "stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / TICKS
+    return 0.0 if process.poll() is not None else processor_s(process.pid)
 
 
 def _busy_s() -> float:

@@ -27,12 +27,12 @@ from rgbd_dic_acquisition.calibration import Calibration, Camera, save_calibrati
 from sensor_msgs.msg import Image
 
 ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT / "src/rgbd_dic_acquisition/test"))
-from fake_blaze import FakeBlaze, producer  # noqa: E402 - found by the line above
+sys.path += [str(ROOT / "tools"), str(ROOT / "src/rgbd_dic_acquisition/test")]
+from fake_blaze import FakeBlaze, producer  # noqa: E402 - what is imported here is found by the line above
+from process_cost import processor_s  # noqa: E402
 
 VIKY = Path(genicam.__file__).with_name("viky.cti")
 DOMAIN = os.environ.get("ROS_DOMAIN_ID", "74")
-TICKS = os.sysconf("SC_CLK_TCK")
 
 
 class Run:
@@ -74,10 +74,6 @@ class Run:
             self._executor.spin_once(timeout_sec=0.02)
         return time.monotonic() - start
 
-    def cpu_s(self) -> float:
-        fields = Path(f"/proc/{self.process.pid}/stat").read_text().rpartition(")")[2].split()
-        return (int(fields[11]) + int(fields[12])) / TICKS
-
     def memory_mb(self) -> float:
         lines = Path(f"/proc/{self.process.pid}/status").read_text().splitlines()
         return next(int(line.split()[1]) / 1024 for line in lines if line.startswith("VmRSS"))
@@ -96,10 +92,10 @@ def throughput(name: str, run: Run, seconds: float) -> str:
     run.until(lambda: len(run.stamps) > 10)
     settled = time.monotonic() + 3
     run.until(lambda: time.monotonic() > settled)
-    first, cpu_s, begun = len(run.stamps), run.cpu_s(), time.monotonic()
+    first, cpu_s, begun = len(run.stamps), processor_s(run.process.pid), time.monotonic()
     run.until(lambda: time.monotonic() - begun > seconds, 2 * seconds)
     took_s = time.monotonic() - begun
-    frames, share = len(run.stamps) - first, (run.cpu_s() - cpu_s) / took_s
+    frames, share = len(run.stamps) - first, (processor_s(run.process.pid) - cpu_s) / took_s
     counters = run.counters
     row = (
         f"| {name} | {frames / took_s:.2f} | {counters['lost']} | {counters['failed']} | {100 * share:.1f} | "

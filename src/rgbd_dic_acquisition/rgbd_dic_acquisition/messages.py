@@ -25,6 +25,7 @@ CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 IMU = "sensor_msgs/msg/Imu"
 TF = "tf2_msgs/msg/TFMessage"
+_POINT_FIELDS = {"<f4": 7, "<u4": 6}  # sensor_msgs/PointField: FLOAT32, UINT32
 
 _PIXEL_TYPES = {"mono8": "u1", "8UC1": "u1", "mono16": "u2", "16UC1": "u2", "32FC1": "f4"}
 _POINT_TYPES = {7: "f4", 8: "f8"}  # PointField.FLOAT32, FLOAT64
@@ -165,8 +166,17 @@ def points_message(make: MessageFactory, stamp_ns: int, frame_id: str, points_m:
     points = np.ascontiguousarray(points_m, "<f4")
     if points.ndim != 2 or points.shape[1] != 3:
         raise ImageError(f"array of shape {points.shape} cannot be sent as points; it must be (N, 3)")
+    columns = points.view([(name, "<f4") for name in "xyz"])[:, 0]
+    return structured_cloud_message(make, stamp_ns, frame_id, columns, bool(np.isfinite(points).all()))
+
+
+def structured_cloud_message(
+    make: MessageFactory, stamp_ns: int, frame_id: str, points: NDArray[Any], is_dense: bool = True
+) -> Any:
+    """A PointCloud2 of a structured array (N,) of float32 and uint32; is_dense: nothing in it is NaN."""
     fields = [
-        make("sensor_msgs/msg/PointField", name=name, offset=4 * i, datatype=7, count=1) for i, name in enumerate("xyz")
+        make("sensor_msgs/msg/PointField", name=name, offset=offset, datatype=_POINT_FIELDS[kind.str], count=1)
+        for name, (kind, offset) in points.dtype.fields.items()
     ]
     return make(
         POINT_CLOUD,
@@ -175,10 +185,10 @@ def points_message(make: MessageFactory, stamp_ns: int, frame_id: str, points_m:
         width=len(points),
         fields=fields,
         is_bigendian=False,
-        point_step=12,
-        row_step=12 * len(points),
+        point_step=points.itemsize,
+        row_step=points.nbytes,
         data=points.tobytes(),
-        is_dense=bool(np.isfinite(points).all()),
+        is_dense=is_dense,
     )
 
 

@@ -39,6 +39,7 @@ SOLVERS = {
 }
 
 
+NEEDS_GEOMETRY = ("h_joint", "h_3d", "pc_3d")  # methods that look at where the subsets are on the panel
 LEAST_SIGMA_PX = 1e-5  # what the DIC's iteration leaves, also where two images are the same
 
 
@@ -175,7 +176,7 @@ class DisplacementMeasurement:
             reference_plane,
             plane,
             base.homography(frame.field),
-            None if self._settings.method in ("h_pose", "h_2d") else base.panel_geometry(reference_plane),
+            base.panel_geometry(reference_plane) if self._settings.method in NEEDS_GEOMETRY else None,
             pose,
             surface,
         )

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rgbd_dic_acquisition.messages import (
-    POINT_CLOUD,
     MessageFactory,
     camera_info_message,
     header_message,
     image_message,
+    structured_cloud_message,
 )
 from rgbd_dic_acquisition.settings import Settings, setting
 
@@ -26,7 +26,6 @@ from ..core.view import ColourScale, View
 from .view_markers import displacement_marker, regions_marker, scene_markers
 
 Array = NDArray[np.float64]
-_POINT_FIELDS = {"f4": 7, "u4": 6}  # sensor_msgs/PointField
 
 
 @dataclass(frozen=True)
@@ -100,19 +99,4 @@ def _cloud(make: MessageFactory, stamp_ns: int, frame_id: str, columns: dict[str
     points = np.zeros(len(columns["x"]), kinds)
     for name, values in columns.items():
         points[name] = values
-    fields = [
-        make("sensor_msgs/msg/PointField", name=name, offset=4 * i, datatype=_POINT_FIELDS[kind[1:]], count=1)
-        for i, (name, kind) in enumerate(kinds)
-    ]
-    return make(
-        POINT_CLOUD,
-        header=header_message(make, stamp_ns, frame_id),
-        height=1,
-        width=len(points),
-        fields=fields,
-        is_bigendian=False,
-        point_step=points.itemsize,
-        row_step=points.nbytes,
-        data=points.tobytes(),
-        is_dense=True,
-    )
+    return structured_cloud_message(make, stamp_ns, frame_id, points)
