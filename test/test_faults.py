@@ -90,7 +90,7 @@ def test_a_killed_node_is_named_and_what_was_measured_is_kept(tmp_path: Path) ->
 
 
 def test_second_graph_in_the_same_domain_is_refused(tmp_path: Path) -> None:
-    graph = start(tmp_path / "first", 77, "--rate", "0.2")
+    graph = start(tmp_path / "first", 77, "--rate", "0.02")
     try:
         wait_for(lambda: playing(tmp_path / "first"), "the player")
         second = rgbd_dic("up", SAMPLE, "--domain", "77", "--out", tmp_path / "second")

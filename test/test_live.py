@@ -101,7 +101,8 @@ def test_a_flight(tmp_path: Path, shown: ShownCrack, blaze: FakeBlaze, flights: 
     with BagReader(tmp_path / "run" / "bag") as bag:
         recorded = {name: topic.count for name, topic in bag.topics.items()}
         pairs = [message for _, _, message in bag.messages(["/frame_pair"])]
-    assert recorded["/camera/image_raw"] == recorded["/camera/camera_info"] == recorded["/camera/time_reference"]
+    of_camera = [recorded[f"/camera/{name}"] for name in ("image_raw", "camera_info", "time_reference")]
+    assert max(of_camera) - min(of_camera) <= 1  # SIGKILL may have come between the messages of one image
     assert recorded["/crack_opening"] >= len(valid) and recorded["/tof/depth/image_raw"] > 0
     with_attitude = [pair for pair in pairs if np.isfinite(pair.attitude_offset)]
     assert len(with_attitude) >= OPENINGS  # the autopilot came before the first of them

@@ -19,6 +19,7 @@ from rgbd_dic_processing.core.settings import ProcessingSettings
 from rgbd_dic_processing.graph import (
     ACQUISITION,
     CAMERA_TOPICS,
+    RECORDER,
     TOF_TOPICS,
     TYPES,
     GraphFiles,
@@ -101,7 +102,7 @@ def recorder(output: Path, nodes: list[NodeSpec]) -> NodeSpec:
         f"{topic} {types[topic]}{' latched' if topic == 'reference' else ''}" for topic in (*topics, "/diagnostics")
     ]
     parameters = {"output": str(output.resolve()), "topics": entries}
-    return NodeSpec(ACQUISITION, "recorder_node", topics, (), parameters=parameters)
+    return NodeSpec(ACQUISITION, RECORDER, topics, (), parameters=parameters)
 
 
 def fly(rendered: RenderedFlight, settings: ProcessingSettings, plan: Plan, folder: Path) -> Flown:

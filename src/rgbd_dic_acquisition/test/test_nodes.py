@@ -278,7 +278,7 @@ def test_a_missing_answer_ends_the_player_with_its_name(processes, bag, tmp_path
 
 def test_sigterm_leaves_a_readable_bag_of_all_topics_in_the_namespace(processes, bag, tmp_path):
     output = tmp_path / "cut"
-    recorder = processes.node("recorder_node", "-r", "__ns:=/uav1", output=str(output))
+    recorder = processes.node("recorder_node", "-r", "__ns:=/uav1", output=str(output), linger_s=0.0)
     player = processes.node(
         "player_node", "-r", "__ns:=/uav1", bag=str(bag), rate=0.2, wait_for_matched=_matched(), linger_s=0.0
     )

@@ -49,6 +49,7 @@ LIVE_WAITING = 3  # frames that a busy node may have to catch up with before it 
 # What works on every image; put together, these run one after another. A plane takes longer, and comes beside them.
 COMPOSABLE = ("dic_node", "pairing_node", "compensation_node", "crack_opening_node")
 COMPOSED = "composed_nodes"
+RECORDER = "recorder_node"
 SENSOR_TOPICS = (*CAMERA_TOPICS, *TOF_TOPICS, "tof/points", "imu/data")
 
 
@@ -214,7 +215,7 @@ def recorder(output: Path, topics: tuple[str, ...]) -> NodeSpec:
     entries = [f"{topic} {topic_type(topic)}{' latched' if topic in LATCHED else ''}" for topic in topics]
     return NodeSpec(
         ACQUISITION,
-        "recorder_node",
+        RECORDER,
         topics,
         (),
         parameters={"output": str(output.resolve()), "topics": entries},

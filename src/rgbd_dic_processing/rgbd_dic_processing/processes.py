@@ -14,9 +14,10 @@ import yaml
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 from rgbd_dic_acquisition.errors import RgbdDicError
 
-from .graph import COMPOSABLE, COMPOSED, PROCESSING, NodeSpec
+from .graph import COMPOSABLE, COMPOSED, PROCESSING, RECORDER, NodeSpec
 
 END_TIMEOUT_S = 10.0
+RECORDER_TIMEOUT_S = 20.0  # it may have half a gigabyte to bring to a slow disk
 _PRCTL = getattr(ctypes.CDLL(None), "prctl", None)
 
 
@@ -108,23 +109,30 @@ class GraphProcesses:
                 )
 
     def end(self) -> None:
-        """SIGINT to all, so that recordings are finished; SIGKILL to what is still there after a while."""
-        for process in self._running.values():
-            if process.poll() is None:
-                process.send_signal(signal.SIGINT)
-        deadline = time.monotonic() + END_TIMEOUT_S
-        for process in self._running.values():
-            try:
-                process.wait(max(0.1, deadline - time.monotonic()))
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+        """SIGINT to all, to the recorder when the others are gone, so that what those publish last is recorded; SIGKILL
+        to what is still there after a while."""
+        recorders = {name for name, spec in self._specs.items() if spec.executable == RECORDER}
+        _end([process for name, process in self._running.items() if name not in recorders], END_TIMEOUT_S)
+        _end([process for name, process in self._running.items() if name in recorders], RECORDER_TIMEOUT_S)
 
     def __enter__(self) -> GraphProcesses:
         return self
 
     def __exit__(self, *_: object) -> None:
         self.end()
+
+
+def _end(processes: list[subprocess.Popen], timeout_s: float) -> None:
+    for process in processes:
+        if process.poll() is None:
+            process.send_signal(signal.SIGINT)
+    deadline = time.monotonic() + timeout_s
+    for process in processes:
+        try:
+            process.wait(max(0.1, deadline - time.monotonic()))
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
 
 
 def _executable(package: str, name: str) -> Path:

@@ -7,6 +7,7 @@ is known (rclpy's EventsExecutor fails with callbacks that ask for that), and on
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -71,7 +72,11 @@ class RecorderNode(Node):
             yield TAKE_S
 
     def close(self) -> None:
-        """Take what has arrived, and finish the bag."""
+        """Take what arrives until nobody publishes any more or `linger_s` is over, and finish the bag."""
+        end = time.monotonic() + self._settings.linger_s
+        while time.monotonic() < end and any(map(self._is_published, self._recorded)):
+            self._take()
+            time.sleep(TAKE_S)
         self._take()
         try:
             self._recording.close()
@@ -110,6 +115,11 @@ class RecorderNode(Node):
         self._recorded[topic] = self.create_subscription(
             kind, topic, lambda data: self._record(topic, self.get_clock().now().nanoseconds, data), qos, raw=True
         )
+
+    def _is_published(self, topic: str) -> bool:
+        """Whether anybody else does."""
+        own = (self.get_name(), self.get_namespace())
+        return any((info.node_name, info.node_namespace) != own for info in self.get_publishers_info_by_topic(topic))
 
     def _set_writing(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         """Latched topics are recorded in any case: what comes later rests on them."""

@@ -34,3 +34,10 @@ class RecorderSettings(Settings):
     warning_s: float = setting(
         300.0, doc="the level is WARN when the disk will be full sooner than that", unit="s", low=0.0
     )
+    linger_s: float = setting(
+        3.0,
+        doc="told to end, it goes on while others publish what it records, at most this long: nodes that end "
+        "together with it say their last",
+        unit="s",
+        low=0.0,
+    )

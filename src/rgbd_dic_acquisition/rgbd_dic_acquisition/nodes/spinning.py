@@ -6,12 +6,14 @@ import ctypes
 import os
 import signal
 import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import rclpy
 from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
+from rclpy.duration import Duration
 from rclpy.exceptions import InvalidHandle
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental.events_executor import EventsExecutor
@@ -22,6 +24,8 @@ from ..errors import RgbdDicError
 
 # The longest wait of one turn [s]: how late SIGINT and SIGTERM may be noticed.
 TURN_S = 0.2
+# The longest that a node waits at its end until what it published has arrived [s].
+ARRIVE_S = 2.0
 
 
 def run(node_factory: Callable[[], Node], args: Sequence[str] | None = None) -> int:
@@ -31,7 +35,8 @@ def run(node_factory: Callable[[], Node], args: Sequence[str] | None = None) -> 
 
     - `work()`: an iterator that does a part of the node's own work each time it is advanced and yields how
       long it is then content to wait for callbacks [s]. When it ends, the node ends, with exit code 0.
-    - `close()`: called at the end, whatever ended it, while publishers and subscriptions still work.
+    - `close()`: called at the end, whatever ended it, while publishers and subscriptions still work. What was
+      published by then is given two seconds to arrive.
 
     An RgbdDicError from any of these becomes one line on stderr and exit code 1; anything else is a bug and
     keeps its traceback.
@@ -88,9 +93,17 @@ def _close(node: Node, executor: Any) -> None:
     try:
         if hasattr(node, "close"):
             node.close()
+        _let_arrive(node)
     finally:
         executor.remove_node(node)
         node.destroy_node()
+
+
+def _let_arrive(node: Node) -> None:
+    """Wait until all reliable subscriptions have what the node published: what is still on its way ends with it."""
+    deadline = time.monotonic() + ARRIVE_S
+    for publisher in node.publishers if rclpy.ok() else ():
+        publisher.wait_for_all_acked(Duration(seconds=max(0.0, deadline - time.monotonic())))
 
 
 def prepare_process() -> None:
