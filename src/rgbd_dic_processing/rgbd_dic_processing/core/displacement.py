@@ -179,6 +179,7 @@ class DisplacementMeasurement:
             base.panel_geometry(reference_plane) if self._settings.method in NEEDS_GEOMETRY else None,
             pose,
             surface,
+            base.plane_changes(frame.field.stamp_ns),
         )
         compensation = SOLVERS[self._settings.method](view, self._settings)
         view, surface = base.with_shape(view, compensation, frame.field.stamp_ns)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +24,7 @@ from .joining import JoinedFrame
 from .panel_motion import PanelMotion, Pose
 from .panel_surface import Surface, SurfaceEstimate
 from .plane import PlaneEstimate
+from .plane_change import PlaneChange, PlaneChanges
 from .plane_in_time import CarriedPlanes
 from .realignment import Realignment, realign_to_axis, realign_to_principal_axes
 from .reference_plane import ReferencePlane
@@ -63,6 +66,9 @@ class ReferenceFrame:
         self._accuracy: float | None = None  # of the sensor, relative to the distance
         shaped = bool(settings.bow_m) and settings.method in SHAPED
         self.is_shaped, self._tof_tells_bow = shaped, shaped and settings.bow_from == "images_and_tof"
+        asks = settings.method in FINDS_SHAPE and settings.tof_slope < 1
+        rays = camera.rays(self.ideal_px)
+        self._changes = PlaneChanges(rays, settings.tof_slope, self._delay.estimate) if asks else None
         self._surface = SurfaceEstimate(camera, self.ideal_px, settings.bow_m, settings.robust_sigmas)
 
     @property
@@ -128,6 +134,8 @@ class ReferenceFrame:
             The reference plane, the plane in this image, and the pose along which it was carried, for a method that
             asks for it by `plane_in_time`; None if no plane could be carried.
         """
+        if self._changes is not None and plane is not None:
+            self._changes.add(frame.plane.stamp_ns, plane)
         known = self._planes.mean
         carries = self.settings.plane_in_time == "carried" and self.settings.method in NEEDS_PLANE_OF_FRAME
         if known is None or not (next(self._follows) or carries):
@@ -155,6 +163,10 @@ class ReferenceFrame:
     def sensor_delay(self) -> SensorDelay:
         """What the frames since this reference tell of a delay of the ToF stamps."""
         return self._delay.estimate(self._motion)
+
+    def plane_changes(self, stamp_ns: int) -> Callable[[Pose, Array, Array], PlaneChange | None] | None:
+        """For the view of an image: how the plane has changed since the reference, for a method that asks."""
+        return None if self._changes is None else partial(self._changes.at_image, stamp_ns)
 
     def plane_for(self, method: str) -> Plane | None:
         """The reference plane that a method works with; None if none is known yet.

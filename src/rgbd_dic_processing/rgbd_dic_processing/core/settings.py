@@ -168,6 +168,13 @@ class CompensationSettings(Settings):
         doc="h_pose, h_joint: who tells how the panel is curved, the parallax in the images alone, or the averaged ToF "
         "frames as well.",
     )
+    tof_slope: float = setting(
+        0.03,
+        low=0.0,
+        high=1.0,
+        doc="h_joint: part of a change of distance that the ToF sensor may get wrong (standard deviation); 1: it is "
+        "not asked how the panel's plane moved.",
+    )
     carry_offset_s: float = setting(
         0.01,
         unit="s",

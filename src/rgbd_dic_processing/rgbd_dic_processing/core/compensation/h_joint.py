@@ -11,8 +11,6 @@ as it is not known from the ToF sensor and earlier images.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 from rgbd_dic_acquisition.errors import MeasurementError
@@ -20,10 +18,11 @@ from rgbd_dic_acquisition.errors import MeasurementError
 from ..deformation import DeformationBasis
 from ..error_sources import ErrorSource
 from ..geometry import Plane, plane_homography, pose_from_homography
-from ..panel_surface import ShapeEvidence, Surface
+from ..panel_surface import Surface
 from ..settings import CompensationSettings
 from ..uncertainty import independent_modes, linear_modes, overlaps
 from .h_pose import Pose, displaced, fit_pose, pixel_jacobian, pose_jacobian
+from .joint_fit import JointFit
 from .joint_problem import CONCENTRATED, POSE, JointProblem
 from .motion import Compensation, FrameView, HomographyMotion, misfit_of
 
@@ -36,30 +35,6 @@ SETTLING = 5  # iterations in which the misfit and the strains are estimated alo
 CONVERGED_PX = 1e-5  # RMS change of the reprojection at which the iteration ends
 
 
-@dataclass(frozen=True)
-class JointFit:
-    """Pose, shape and deformation of the fixed region, at their most likely. The shape has k parameters, none if fixed.
-
-    used: (M,), indices of the subsets that were used.
-    coefficients, strains: (q,) of the basis, and the standard deviation that those of each degree have (order,).
-    gain: (6 + k, M, 2), change of pose (rotation vector, translation) and shape by the subsets' pixels.
-    confounded: (6 + k, 6 + k), their covariance from what the image cannot tell from deformation, and from what was
-        known of the shape before.
-    residual_px, misfit_px: (M, 2), and the standard deviation on each axis that is left beside the DIC's noise.
-    shape: the surface that was found, and what this view tells of it; None if it was fixed.
-    """
-
-    pose: Pose
-    used: NDArray[np.intp]
-    coefficients: Array
-    strains: Array
-    gain: Array
-    confounded: Array
-    residual_px: Array
-    misfit_px: float
-    shape: ShapeEvidence | None
-
-
 def compensate(view: FrameView, settings: CompensationSettings) -> Compensation:
     """The homography of the most likely pose.
 
@@ -68,6 +43,9 @@ def compensate(view: FrameView, settings: CompensationSettings) -> Compensation:
     """
     surface = view.surface or Surface.flat(view.camera, view.reference_px, view.reference_plane)
     fit = fit_joint(view, settings, surface)
+    if view.changes is not None:
+        change = view.changes(fit.pose, *(each[:POSE, :POSE] for each in (fit.by_deformation, fit.confounded)))
+        fit = fit if change is None else fit.beside(change)
     used, sigma_px = fit.used, np.hypot(view.sigma_px, fit.misfit_px)
     agreeing = np.linalg.norm(fit.residual_px / sigma_px[used], axis=1) <= 3 * settings.robust_sigmas
     residual_px = float(np.sqrt(np.mean(np.sum(fit.residual_px[agreeing] ** 2, axis=1)))) if agreeing.any() else np.inf
@@ -85,8 +63,10 @@ def compensate(view: FrameView, settings: CompensationSettings) -> Compensation:
     moved = POSE + PLANE
     dic_modes, coupling = linear_modes(fit.gain[:moved], sigma_px, view.correlation, used)
     confounded = independent_modes(fit.confounded[:moved, :moved])
-    modes = tuple(motion(step) for step in (*dic_modes, *confounded))
+    by_tof = independent_modes(fit.by_tof[:moved, :moved])
+    modes = tuple(motion(step) for step in (*dic_modes, *confounded, *by_tof))
     sources = (ErrorSource.MOTION,) * len(dic_modes) + (ErrorSource.DEFORMATION,) * len(confounded)
+    sources += (ErrorSource.FRAME_PLANE,) * len(by_tof)
     best = motion(np.zeros(moved))
     return Compensation(best, modes, sources, coupling, residual_px, fit.misfit_px, fit.shape, fit.pose)
 
@@ -162,10 +142,14 @@ def fit_joint(view: FrameView, settings: CompensationSettings, surface: Surface 
         if not settling and np.sqrt(np.mean(np.square(step @ flat))) < CONVERGED_PX:
             told = POSE + shaped
             gain = np.tensordot(covariance[:told], weighted, 1)
-            by_priors = covariance @ (CONCENTRATED * linear.stiffness(strains) + linear.known_before()) @ covariance
+            by_deformation = (covariance @ linear.stiffness(strains) @ covariance)[:told, :told]
+            by_shape = (covariance @ linear.known_before() @ covariance)[:told, :told]
+            confounded = CONCENTRATED * by_deformation + by_shape
             shape = None if surface is None else linear.evidence(strains, surface, x[:shaped], covariance)
-            confounded = by_priors[:told, :told]
-            return JointFit((R, t), used, x[shaped:], strains, gain, confounded, residual, misfit_px, shape)
+            nothing = np.zeros_like(confounded)
+            return JointFit(
+                (R, t), used, x[shaped:], strains, gain, confounded, by_deformation, nothing, residual, misfit_px, shape
+            )
     raise MeasurementError("h_joint: pose and deformation of the fixed region did not converge")
 
 

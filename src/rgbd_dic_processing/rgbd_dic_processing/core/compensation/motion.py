@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -18,6 +19,7 @@ from ..realignment import Realignment
 
 if TYPE_CHECKING:
     from ..panel_surface import ShapeEvidence, Surface
+    from ..plane_change import PlaneChange
 
 Array = NDArray[np.float64]
 MEDIAN_LENGTH = 1.1774  # of a normal residual in two dimensions, in standard deviations
@@ -48,6 +50,7 @@ class FrameView:
     panel: where the subsets are on the panel; None for h_pose and h_2d, which need not know.
     carried: the pose (R, t) along which `plane` was carried from planes of the reference; None if it was not.
     surface: the panel's shape, for a solver that refines it; None where it is flat, or is taken off moved_px already.
+    changes: `PlaneChanges.at_image` of this frame; None for a solver that does not ask.
     """
 
     camera: Camera
@@ -62,6 +65,7 @@ class FrameView:
     panel: PanelGeometry | None
     carried: tuple[Array, Array] | None = None
     surface: Surface | None = None
+    changes: Callable[[tuple[Array, Array], Array, Array], PlaneChange | None] | None = None
 
     @cached_property
     def seed_pose(self) -> tuple[Array, Array]:
