@@ -20,8 +20,8 @@ def field(stamp: int, status: FrameStatus = FrameStatus.OK) -> SubsetField:
 class Measuring:
     """Writes down, for each frame, how many had been learnt from when it was measured."""
 
-    def __init__(self) -> None:
-        self.frames = EarlyFrames(LAG)
+    def __init__(self, never_waits: bool = False) -> None:
+        self.frames = EarlyFrames(LAG, never_waits)
         self.learnt: list[int] = []
         self.known_by: dict[int, int] = {}
 
@@ -63,6 +63,26 @@ def test_a_frame_does_not_wait_for_its_own_tof_frame() -> None:
             measuring.frames.complete([JoinedFrame(field(PERIOD * (index - 10)), None, None)])
         measuring.step()
     assert len(measuring.known_by) == 30
+
+
+def test_one_that_never_waits_goes_on_where_planes_are_late() -> None:
+    """30 fields come; the parts of 5 of them, so that a plane is known, then none for long, then all others. Each is
+    measured when it comes, once a plane is known (before, when it is complete itself), and all are learnt from in the
+    end, in their order."""
+    measuring = Measuring(never_waits=True)
+    for index in range(30):
+        measuring.frames.add(field(PERIOD * index))
+        if FIRST_PLANE <= index < 2 * FIRST_PLANE + 1:
+            measuring.frames.complete([JoinedFrame(field(PERIOD * (index - FIRST_PLANE)), None, None)])
+        measuring.step()
+        complete = max(0, index + 1 - FIRST_PLANE)
+        assert len(measuring.known_by) == (complete if complete <= FIRST_PLANE else index + 1)
+    assert measuring.learnt == [PERIOD * index for index in range(FIRST_PLANE + 1)]
+    measuring.frames.complete([JoinedFrame(field(PERIOD * index), None, None) for index in range(FIRST_PLANE + 1, 30)])
+    measuring.frames.add(field(PERIOD * 30))
+    measuring.step()
+    lag = LAG // PERIOD
+    assert measuring.learnt == [PERIOD * index for index in range(30 - lag + 1)]
 
 
 def test_images_without_the_panel_keep_nothing_waiting() -> None:

@@ -83,10 +83,23 @@ def _spin(nodes: list[Node], executor: Any, signals: list[int]) -> None:
             waits_s = [next(work, None) for work in works]
             if None in waits_s or signals or not rclpy.ok():
                 return
-            executor.spin_once(timeout_sec=max(min([*waits_s, TURN_S]), 0.0))
+            spin(executor, max(min([*waits_s, TURN_S]), 0.0))
     except (ExternalShutdownException, InvalidHandle):
         if rclpy.ok():
             raise
+
+
+def spin(executor: Any, timeout_s: float) -> None:
+    """Wait for something to come, and handle all that has come by then.
+
+    EventsExecutor.spin_once handles one event. A node whose work takes longer than the next events need to come would
+    fall behind with those, more and more, until their queues in the middleware overflow.
+    """
+    executor.spin_once(timeout_sec=timeout_s)
+    done: list[bool] = []
+    executor.create_task(done.append, True)  # comes after what has come
+    while not done and rclpy.ok():
+        executor.spin_once(timeout_sec=0.0)
 
 
 def _close(node: Node, executor: Any) -> None:

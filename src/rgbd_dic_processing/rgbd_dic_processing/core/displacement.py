@@ -48,16 +48,16 @@ class DisplacementMeasurement:
 
     A method that takes the plane of the reference alone need not wait for the frame's own ToF frame: with a
     `plane_lag_s`, that plane rests on the ToF frames of images at least so much earlier, which have long come. Which
-    ones these are depends on the stamps alone.
+    ones these are depends on the stamps alone, unless it `never_waits` (see `EarlyFrames`).
     """
 
-    def __init__(self, camera: Camera, regions: Regions, settings: CompensationSettings):
+    def __init__(self, camera: Camera, regions: Regions, settings: CompensationSettings, never_waits: bool = False):
         self._camera, self._regions, self._settings = camera, regions, settings
         self._join = FrameJoin(settings.max_waiting)
         self._plane_motion = PlaneMotion()
         self._references: dict[int, ReferenceFrame] = {}
         early = bool(settings.plane_lag_s) and settings.method not in NEEDS_PLANE_OF_FRAME
-        self._early = EarlyFrames(round(settings.plane_lag_s * 1e9)) if early else None
+        self._early = EarlyFrames(round(settings.plane_lag_s * 1e9), never_waits) if early else None
         self._no_plane: NoPlane | None = None
 
     def set_reference(self, reference: Reference) -> list[DisplacementField]:

@@ -16,10 +16,13 @@ class EarlyFrames:
     Before an image is measured, all frames at least `lag_ns` earlier are learnt from, and no others; but as long as no
     plane is known, those up to the image itself, one after another. So what an image is measured with depends on the
     stamps, never on how soon its ToF frame came.
+
+    If it `never_waits`, an image is measured as soon as a plane is known, also where earlier frames are not complete
+    yet, as when what makes the planes is held up; they are learnt from when they are.
     """
 
-    def __init__(self, lag_ns: int):
-        self._lag_ns = lag_ns
+    def __init__(self, lag_ns: int, never_waits: bool = False):
+        self._lag_ns, self._never_waits = lag_ns, never_waits
         self._count = 0
         self._unmeasured: deque[tuple[int, SubsetField]] = deque()
         self._unlearnt: deque[tuple[int, int]] = deque()  # number and stamp
@@ -60,7 +63,7 @@ class EarlyFrames:
             if recent and knows_plane(field):
                 return True
             if not self._complete:
-                return False
+                return self._never_waits and knows_plane(field)
             self._unlearnt.popleft()
             learn(self._complete.popleft())
         return True

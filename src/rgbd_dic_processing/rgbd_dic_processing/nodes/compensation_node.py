@@ -50,7 +50,8 @@ class CompensationNode(Node):
         self._idle = IdleFlush(self, self._flush, IdleFlush.AFTER_OTHERS_S)
 
     def _start(self, camera: Camera) -> None:
-        step = self._step = DisplacementMeasurement(camera, self._regions, self._settings)
+        step = DisplacementMeasurement(camera, self._regions, self._settings, never_waits=self._keep_up.leaves_out)
+        self._step = step
         every, newest = self.create_subscription, self._keep_up.subscribe
         for subscribe, message_type, topic, convert, add, qos in (
             (every, Reference, "reference", reference_from_message, step.set_reference, latched_qos()),

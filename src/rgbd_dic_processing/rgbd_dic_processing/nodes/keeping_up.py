@@ -1,9 +1,8 @@
-"""What a node does with messages that come faster than it works: it leaves some out, evenly, and says so."""
+"""What a node does with messages that come faster than it works: it works on the newest, and says what it left out."""
 
 from __future__ import annotations
 
 import contextlib
-import itertools
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -21,7 +20,7 @@ from rgbd_dic_acquisition.settings import Settings, setting
 
 SKIPPED = "skipped"  # counter on /diagnostics
 WARNED_S = 2.0  # after a message was left out
-EVENTS = 20  # of the executor that a node which lags behind handles between two messages, so that nothing else waits
+CAUGHT_UP_S = 1.0  # after a message was left out: none waits any more until so long nothing had to be left out
 
 
 @dataclass(frozen=True)
@@ -33,14 +32,16 @@ class KeepUpSettings(Settings):
         unit="messages",
         low=0,
         high=1000,
-        doc="when more wait, the oldest are left out, so that latency does not grow; 0: none is left out",
+        doc="so many may wait while a node is held up; when more do, all but the newest are left out until it has kept "
+        "up for a second, so that latency does not grow; 0: none is left out",
     )
 
 
 class KeepUp:
     """Subscribes so that a slow node stays up to date: when a message's turn has come, all that came meanwhile is
-    looked at, and while more than `max_waiting` wait behind it, it is left out and counted, and the next one's turn
-    has come. A node that takes twice as long as messages need to come so works off every second one.
+    looked at. While more than `max_waiting` wait behind it, it is left out and counted, and the next one's turn has
+    come; from then on it is so as soon as one waits, for what waits makes nothing but latency where a node is too slow.
+    A node that takes twice as long as messages need to come so works off every second one, as soon as it came.
 
     The node's `work` must be this one's.
     """
@@ -53,10 +54,18 @@ class KeepUp:
         self._skipped_s = float("-inf")
 
     @property
+    def leaves_out(self) -> bool:
+        """Whether messages are left out when they come too fast."""
+        return self._most > 0
+
+    @property
     def warning(self) -> str:
         """What to warn of for a while after something was left out; else empty."""
-        recent = time.monotonic() - self._skipped_s < WARNED_S
+        recent = self._skipped_within(WARNED_S)
         return f"too slow for all that comes: some is left out, see '{SKIPPED}'" if recent else ""
+
+    def _skipped_within(self, period_s: float) -> bool:
+        return time.monotonic() - self._skipped_s < period_s
 
     def subscribe(
         self,
@@ -67,14 +76,14 @@ class KeepUp:
         left_out: Callable[[Any], None] = lambda _: None,
     ) -> None:
         """As `create_subscription`, for one topic; `left_out` is told of each message that is not worked off."""
-        if not self._most:
+        if not self.leaves_out:
             self._node.create_subscription(kind, topic, callback, qos)
             return
         subscription = self._node.create_subscription(kind, topic, self._came, qos)
 
         def turn() -> None:
             self._waiting.extend(_come(subscription))
-            while len(self._waiting) > 1 + self._most:
+            while len(self._waiting) > 1 + (0 if self._skipped_within(CAUGHT_UP_S) else self._most):
                 self._skipped_s = time.monotonic()
                 self._diagnostics.count(SKIPPED)
                 left_out(self._waiting.popleft())
@@ -86,11 +95,12 @@ class KeepUp:
         self._waiting.append(message)
 
     def work(self) -> Iterator[float]:
-        """Work off what waits, one message each time."""
+        """Work off what waits: each time as many messages as waited at its beginning, or fewer if some are left out."""
         while True:
-            if self._waiting:
-                self._turn()
-            yield from itertools.repeat(0.0, EVENTS) if self._waiting else (TURN_S,)
+            for _ in range(len(self._waiting)):
+                if self._waiting:
+                    self._turn()
+            yield 0.0 if self._waiting else TURN_S
 
 
 def _come(subscription: Subscription) -> Iterator[Any]:
