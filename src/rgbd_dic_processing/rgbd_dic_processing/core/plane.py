@@ -264,7 +264,7 @@ class PanelPlane:
             step_m,
             u_step_m,
             systematic_covariance(on_panel[inliers], plane, sensor_m, self._settings),
-            fit_curvature(on_panel, plane, sensor_m, self._settings),
+            fit_curvature(on_panel, plane, sensor_m, self._settings) if self._settings.curvature else None,
         )
 
     def _step(self, points_m: Array, reference_px: Array, plane: Plane) -> tuple[float, float]:

@@ -114,6 +114,9 @@ class PlaneSettings(Settings):
         doc="Most ToF points on the panel that are used, evenly taken: fewer take less time and are noisier together.",
     )
     step: bool = setting(True, doc="Whether the step across the crack is measured; pc_3d alone needs it.")
+    curvature: bool = setting(
+        True, doc="Whether the bow of the panel is measured; compensation.bow_from: images_and_tof alone needs it."
+    )
     max_residual_m: float = setting(
         0.03, unit="m", low=0.0005, high=1.0, doc="Largest residual RMS of a plane that is believed."
     )
