@@ -51,6 +51,24 @@ def test_misfit_of_residuals_in_any_direction(shift_px) -> None:
     np.testing.assert_allclose(lengths, 1.1774, rtol=1e-3)
 
 
+@pytest.mark.parametrize("misfit_px", [0.003, 0.05])
+def test_misfit_makes_the_median_length_what_it_should_be(misfit_px: float) -> None:
+    """For an odd number of residuals to the last bits: the median one is as long as it should be."""
+    random = np.random.default_rng(1)
+    sigma_px = random.uniform(0.001, 0.01, (501, 2))
+    residual = random.normal(size=(501, 2)) * np.hypot(sigma_px, misfit_px)
+    found_px = misfit_of(residual, sigma_px)
+    lengths = np.linalg.norm(residual / np.hypot(sigma_px, found_px), axis=1)
+    assert np.median(lengths) == pytest.approx(1.1774, rel=1e-9)
+    assert found_px == pytest.approx(misfit_px, rel=0.15)  # three standard deviations of such a median
+
+
+def test_no_misfit_where_the_uncertainty_tells_all() -> None:
+    residual = np.random.default_rng(1).normal(size=(500, 2)) * 0.004
+    assert misfit_of(residual, np.full((500, 2), 0.005)) == 0
+    assert misfit_of(np.zeros((500, 2)), np.full((500, 2), 0.005)) == 0
+
+
 def half_hidden(share: float):
     """A frame whose right zone turns and stretches, and hides its lower part; its opening, and that of the whole."""
     scene = ExactScene(CAMERA, *REFERENCES[0])

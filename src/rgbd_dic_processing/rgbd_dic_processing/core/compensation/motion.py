@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -10,7 +11,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 from rgbd_dic_acquisition.calibration import Camera
-from scipy.optimize import brentq
 from scipy.sparse import csr_matrix
 
 from ..error_sources import ErrorSource
@@ -165,16 +165,15 @@ def reprojection_rms(motion: Motion, view: FrameView, used: NDArray[np.intp]) ->
 def misfit_of(residual_px: Array, sigma_px: Array) -> float:
     """Standard deviation [px] that residuals (M, 2) have on each axis beside their uncertainty (M, 2).
 
-    The median length of a normal residual in two dimensions is 1.1774 sigma (Rayleigh); zero if it is not longer.
+    The median length of a normal residual in two dimensions is 1.1774 sigma (Rayleigh); zero if it is not longer. The
+    more misfit, the shorter is each residual in units of its standard deviation, so the misfit that makes the median as
+    long as it should be is the median of those that make each residual so long.
     """
-
     squared, variance = residual_px**2, sigma_px**2
-    middle = [(len(squared) - 1) // 2, len(squared) // 2]  # whose mean is the median
-
-    def too_long(misfit_px: float) -> float:
-        lengths = np.partition((squared / (variance + misfit_px**2)).sum(axis=1), middle)
-        return lengths[middle].mean() - MEDIAN_LENGTH**2
-
-    if too_long(0.0) <= 0:
-        return 0.0
-    return brentq(too_long, 0.0, float(np.linalg.norm(residual_px, axis=1).max()), xtol=1e-6)
+    length2 = MEDIAN_LENGTH**2
+    # sum of squared / (variance + v) = length2, for v the misfit's variance: length2 v^2 + 2 half v + constant = 0
+    half = (length2 * variance.sum(axis=1) - squared.sum(axis=1)) / 2
+    constant = length2 * variance.prod(axis=1) - (squared * variance[:, ::-1]).sum(axis=1)
+    root = (-half + np.sqrt(np.maximum(half**2 - length2 * constant, 0))) / length2
+    middle = [(len(root) - 1) // 2, len(root) // 2]  # whose mean is the median
+    return math.sqrt(max(0.0, float(np.partition(root, middle)[middle].mean())))
