@@ -12,10 +12,14 @@ from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
+import rclpy
+from rclpy.node import Node
 from rgbd_dic_acquisition.errors import RgbdDicError
 from rgbd_dic_acquisition.payload import load_payload
 from rgbd_dic_processing.core.settings import ProcessingSettings
 from rgbd_dic_processing.graph import (
+    COMPOSABLE,
+    COMPOSED,
     SENSOR_TOPICS,
     GraphFiles,
     NodeSpec,
@@ -200,7 +204,7 @@ def payload(tmp_path: Path) -> Path:
 def test_live(describe, payload: Path, tmp_path: Path) -> None:
     """Sensors by the payload's parameters and one calibration, the rest as ever; recorder and page if asked for."""
     graph = [
-        *processing_nodes(SAMPLE_FILES, ProcessingSettings(), ("h_pose",)),
+        *processing_nodes(SAMPLE_FILES, ProcessingSettings(), ("h_pose",), live=True),
         *live_sensors(load_payload(payload), SAMPLE_FILES.calibration),
     ]
     started = nodes(describe(PROCESSING / "live.launch.py"), payload=str(payload), **NAMED)
@@ -213,6 +217,40 @@ def test_live(describe, payload: Path, tmp_path: Path) -> None:
     named = {"payload": str(payload), "output": str(tmp_path / "bag"), "page": "8420", **NAMED}
     assert nodes(describe(PROCESSING / "live.launch.py"), **named) == expected(graph, use_sim_time=False)
     assert {"tof/points", "camera/time_reference"} <= set(graph[-1].takes)
+
+
+def test_live_composed(describe, payload: Path) -> None:
+    """ROS reads the parameters and names of the graph from what each node of the one process is given."""
+    description = describe(PROCESSING / "live.launch.py")
+    given = {"payload": str(payload), "composed": "true", "namespace": "left", "method": "h_pose,pc_3d", **NAMED}
+    defaults = {name: item.default_value for name, item in arguments(description).items() if name not in given}
+    (function,) = (item.function for item in description if hasattr(item, "function"))
+    composed, *apart = function({**defaults, **given})
+    assert composed.executable == COMPOSED
+    assert [node.executable for node in apart] == ["plane_node", "camera_node", "tof_node"]
+    words = composed.arguments
+    begins = [index for index, word in enumerate(words) if word == "--node"]
+    graph = processing_nodes(SAMPLE_FILES, ProcessingSettings(), ("h_pose", "pc_3d"), live=True)
+    together = [spec for spec in graph if spec.executable in COMPOSABLE]
+    assert [words[begin + 1] for begin in begins] == [spec.executable for spec in together]
+    for spec, begin, end in zip(together, begins, [*begins[1:], len(words)], strict=True):
+        context = rclpy.Context()
+        rclpy.init(context=context)
+        node = Node(
+            "unnamed",
+            context=context,
+            cli_args=words[begin + 2 : end],
+            automatically_declare_parameters_from_overrides=True,
+            start_parameter_services=False,
+        )
+        read = {name: node.get_parameter(name).value for name in spec.parameters}
+        named = node.get_fully_qualified_name(), node.resolve_topic_name("crack_opening")
+        node.destroy_node()
+        rclpy.shutdown(context=context)
+        assert {name: (type(value), value) for name, value in read.items()} == {
+            name: (type(value), value) for name, value in spec.parameters.items()
+        }
+        assert named == (f"/left/{spec.node_name}", f"/left/{spec.remappings.get('crack_opening', 'crack_opening')}")
 
 
 def test_live_with_an_autopilot(describe, payload: Path) -> None:

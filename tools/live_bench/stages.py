@@ -29,7 +29,7 @@ def stages(played: Flight, subsets: int, settings: str) -> dict[str, float]:
         ("plane", pipeline.planes, "_estimate"),
         ("motion and displacement", displacement, "_measure"),
         ("for later frames", displacement, "_learn_alone"),  # with the default settings a part of the step before
-        ("opening", pipeline.crack, "measure"),
+        ("opening", pipeline.crack, "measure_with_parts"),
     ):
         setattr(owner, method, _timed(getattr(owner, method), took[name]))
     for tick in range(FRAMES):

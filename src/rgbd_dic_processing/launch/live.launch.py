@@ -10,7 +10,7 @@ from launch_ros.actions import Node
 from rgbd_dic_acquisition.errors import RgbdDicError
 from rgbd_dic_acquisition.payload import load_payload
 from rgbd_dic_processing.graph import GraphFiles, all_topics, operator_page, processing_nodes, recorder
-from rgbd_dic_processing.launching import COMMON_ARGUMENTS, chosen, node_action, path_argument
+from rgbd_dic_processing.launching import COMMON_ARGUMENTS, chosen, is_true, live_actions, path_argument
 from rgbd_dic_processing.live_sensors import live_calibration, live_sensors
 
 ARGUMENTS = (
@@ -24,6 +24,11 @@ ARGUMENTS = (
     DeclareLaunchArgument("output", default_value="", description="directory of the bag to record; empty: none"),
     DeclareLaunchArgument("page", default_value="", description="port of the live page, such as 8420; empty: none"),
     DeclareLaunchArgument("page_host", default_value="127.0.0.1", description="address that the live page listens on"),
+    DeclareLaunchArgument(
+        "composed",
+        default_value="false",
+        description="the nodes that work on every image in one process (docs/live.md)",
+    ),
     *COMMON_ARGUMENTS,
 )
 
@@ -36,14 +41,14 @@ def _nodes(context: LaunchContext) -> list[Node]:
     payload = load_payload(path)
     calibration = live_calibration(path_argument(context, "calibration"), payload)
     files = GraphFiles(calibration, path_argument(context, "regions"))
-    nodes = [*processing_nodes(files, settings, methods), *live_sensors(payload, calibration)]
+    nodes = [*processing_nodes(files, settings, methods, live=True), *live_sensors(payload, calibration)]
     host, port = (LaunchConfiguration(name).perform(context) for name in ("page_host", "page"))
     if port:
         nodes.append(operator_page(host, int(port), files, settings, Path("regions_drawn.yaml")))
     output = path_argument(context, "output")
     if output is not None:
         nodes.append(recorder(output, all_topics(nodes)))
-    return [node_action(spec, use_sim_time=False) for spec in nodes]
+    return live_actions(context, nodes, is_true(context, "composed"))
 
 
 def generate_launch_description() -> LaunchDescription:

@@ -5,6 +5,7 @@ Needs `launch` and `launch_ros`, which a full ROS 2 has; `rgbd-dic up` starts th
 
 from __future__ import annotations
 
+import json
 from argparse import Namespace
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from launch_ros.parameter_descriptions import ParameterValue
 from .commands.options import measurement_settings
 from .core.displacement import SOLVERS
 from .core.settings import ProcessingSettings
-from .graph import NodeSpec
+from .graph import COMPOSABLE, COMPOSED, PROCESSING, NodeSpec
 
 COMMON_ARGUMENTS = (
     DeclareLaunchArgument("namespace", default_value="", description="namespace of all nodes and topics"),
@@ -72,6 +73,28 @@ def node_action(spec: NodeSpec, use_sim_time: bool) -> Node:
         arguments=["--ros-args", "--log-level", LaunchConfiguration("log_level")],
         output="screen",
     )
+
+
+def composed_action(context: LaunchContext, specs: list[NodeSpec]) -> Node:
+    """The nodes of the graph that can be composed, in one process, as `rgbd-dic up --composed` starts them; in the
+    namespace and with the log level of the arguments, by the computer's clock."""
+    namespace, log_level = (LaunchConfiguration(name).perform(context) for name in ("namespace", "log_level"))
+    arguments = []
+    for spec in specs:
+        arguments += ["--node", spec.executable, "--ros-args", "--log-level", log_level]
+        names = {"__node": spec.node_name, **({"__ns": f"/{namespace.lstrip('/')}"} if namespace else {})}
+        for before, after in {**names, **spec.remappings}.items():
+            arguments += ["-r", f"{before}:={after}"]
+        for name, value in spec.parameters.items():
+            arguments += ["-p", f"{name}:={json.dumps(value)}"]  # quoted, so that text stays text
+    return Node(package=PROCESSING, executable=COMPOSED, arguments=arguments, output="screen")
+
+
+def live_actions(context: LaunchContext, specs: list[NodeSpec], composed: bool) -> list[Node]:
+    """All nodes of a live graph: each by itself, or those that can be composed in one process."""
+    together = [spec for spec in specs if composed and spec.executable in COMPOSABLE]
+    apart = [node_action(spec, use_sim_time=False) for spec in specs if spec not in together]
+    return [*([composed_action(context, together)] if together else []), *apart]
 
 
 def _typed(value: Any) -> Any:
