@@ -163,7 +163,7 @@ of the main case:
 What grows there is warm-up. compensation_node looks for a delay between the sensors' clocks every 300 images, in the
 latest 600 ToF frames and 1,800 images: its memory grows by some 10 MB until it has so many, half a minute at full rate
 and two minutes at 15 openings a second, and then stays. recorder_node keeps the memory of the most that ever waited for
-the disk (`buffer_mb` at most), and some 50 kB a second of index until a file of the bag is full."""
+the disk (`buffer_mb` at most), and some 70 kB a second of index until a file of the bag is full."""
 
 
 def _profile(results: dict[str, Any]) -> str:
