@@ -35,7 +35,11 @@ class Flight:
         command = ["rgbd-dic", "up", "--live", "--domain", DOMAIN, "--out", folder / "run", *options]
         with self._log.open("w") as log:
             self.process = subprocess.Popen(
-                list(map(str, command)), stdout=log, stderr=subprocess.STDOUT, env=environment()
+                list(map(str, command)),
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                env=environment(),
+                preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a shell's background jobs ignore it
             )
 
     @property
