@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
@@ -22,13 +21,14 @@ from ..errors import RgbdDicError, SettingsError
 from ..recording import Recording
 from .diagnostics import PERIOD_S, Diagnostics
 from .parameters import declare, declare_path
+from .raw_taking import RawTaking
 from .recorder_health import RecorderHealth
 from .recorder_settings import RecorderSettings
 from .ros_messages import message_class
 from .spinning import run
 
 DISCOVER_S = 0.2
-TAKE_S = 0.02
+TAKE_S = 0.05
 NEVER_DISCOVERED = ("/clock", "/rosout", "/parameter_events")
 MB = 1_000_000
 
@@ -49,6 +49,7 @@ class RecorderNode(Node):
         self._diagnostics = Diagnostics(self)
         self._health = RecorderHealth(self._diagnostics, self._recording, settings.warning_s)
         self._latched: dict[str, bool] = {}
+        self._taking = RawTaking()
         self._writes = True
         self.create_service(SetBool, "~/record", self._set_writing)
         self._diagnostics.tell("recording", "on")
@@ -135,10 +136,9 @@ class RecorderNode(Node):
         """Record what has arrived, in the order in which it did."""
         taken = []
         for topic, subscription in self._recorded.items():
-            while subscription and (message := _taken(subscription)) is not None:
-                data, info = message
-                self._health.arrived(topic, info["publication_sequence_number"], self.count_publishers)
-                taken.append((info["received_timestamp"], topic, data))
+            while subscription and (message := self._taking.take(subscription)) is not None:
+                self._health.arrived(topic, message.number, self.count_publishers)
+                taken.append((message.received_ns, topic, message.data))
         for received_ns, topic, data in sorted(taken, key=lambda message: message[0]):
             now_ns = self.get_clock().now().nanoseconds
             self._record(topic, now_ns if self._by_clock else received_ns or now_ns, data)
@@ -148,11 +148,6 @@ class RecorderNode(Node):
             self._recording.put(topic, log_time_ns, data)
         else:
             self._diagnostics.count("not recorded, as told")
-
-
-def _taken(subscription: Subscription) -> tuple[bytes, dict[str, Any]] | None:
-    with subscription.handle:
-        return subscription.handle.take_message(subscription.msg_type, True)
 
 
 def _parse(entry: str) -> tuple[str, str, bool, bool]:
