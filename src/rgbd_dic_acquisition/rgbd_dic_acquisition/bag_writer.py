@@ -43,7 +43,8 @@ class BagWriter:
     Args:
         compression: none or zstd.
         split_bytes: a file that has reached this size is closed, and the next one is begun; 0 makes one file.
-        durable: have each file on the disk, and not just in the kernel's memory, when it is closed.
+        durable: have each file on the disk, and not just in the kernel's memory, when it is closed; and write past that
+            memory where the file system can, which costs the processor less.
 
     Raises:
         BagError: the path exists, cannot be made, or `compression` is not none or zstd.
@@ -177,7 +178,7 @@ class BagWriter:
         self.close()
 
     def _next_file(self) -> McapFile:
-        file = McapFile(self.path / f"{self.path.name}_{len(self._spans)}.mcap", self._compression)
+        file = McapFile(self.path / f"{self.path.name}_{len(self._spans)}.mcap", self._compression, self._durable)
         for topic in self._topics.values():
             self._announce(file, topic)
         return file

@@ -2,17 +2,16 @@
 
 The `mcap` library's writer cannot end a chunk at a given time, nor take one back when the disk is full. It copies each
 message twice on its way and takes zlib's checksum of it, which makes it twice as expensive. The records other than
-messages and chunks are the library's. Format: https://mcap.dev/spec
+messages and chunks are the library's. Where the file goes past the kernel's memory, a record of an application's own,
+which readers have to skip, fills up what is written to whole blocks. Format: https://mcap.dev/spec
 """
 
 from __future__ import annotations
 
 import errno
-import os
 import struct
 from collections import Counter
-from collections.abc import Callable, Iterable
-from contextlib import suppress
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import zstandard
@@ -22,18 +21,23 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, Header, MessageIndex, Metadata, Schema
 
 from .bag_metadata import Span
+from .disk_file import BLOCK_BYTES, DiskFile
 from .mcap_end import MAGIC, bytes_of, end_of_file
 
 CHUNK_BYTES = 1024 * 1024
 _SMALL_BYTES = 4096  # copied together with its head
-_MOST_PIECES = 1024  # that the kernel takes at a time (IOV_MAX)
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 _MESSAGE_HEAD = struct.Struct("<BQHIQQ")
 _CHUNK_HEAD = struct.Struct("<BQQQQI")
+_RECORD_HEAD = struct.Struct("<BQ")
+_FILLER = 0x80  # the first opcode that the format leaves to applications
 
 
 class McapFile:
     """Writes one MCAP file. What is in finished chunks can be read, whatever comes after.
+
+    Args:
+        direct: write past the kernel's memory for files, if the file system can.
 
     Attributes:
         path: of the file.
@@ -42,10 +46,10 @@ class McapFile:
         OSError: the disk refuses.
     """
 
-    def __init__(self, path: Path, compression: str = "") -> None:
+    def __init__(self, path: Path, compression: str = "", direct: bool = False) -> None:
         self.path = path
         self._compression = compression
-        self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
+        self._file = DiskFile(path, direct)
         self._end_at = 0
         self._schemas: dict[str, Schema] = {}
         self._channels: list[Channel] = []
@@ -54,13 +58,13 @@ class McapFile:
         try:
             self._append([MAGIC, bytes_of(Header("ros2", "rgbd_dic"))])
         except OSError:
-            os.close(self._descriptor)
+            self._file.close()
             path.unlink()
             raise
 
     @property
     def closed(self) -> bool:
-        return self._descriptor < 0
+        return self._file.closed
 
     @property
     def size(self) -> int:
@@ -164,7 +168,7 @@ class McapFile:
 
     def duplicate(self) -> int:
         """A descriptor of the file of its own, such as for another thread to wait with until all is on the disk."""
-        return os.dup(self._descriptor)
+        return self._file.duplicate()
 
     def close(self, name: str, about: Callable[[], dict[str, str]], durable: bool = False) -> None:
         """Write the chunk, the metadata record `name` and the index, and close the file, whatever happens.
@@ -185,6 +189,7 @@ class McapFile:
                 if error.errno not in _FULL:
                     raise
                 self._take_back()
+            self._file.go_through_the_kernel()
             while True:
                 try:
                     self._append([self._end(Metadata(name, about()))])
@@ -194,10 +199,9 @@ class McapFile:
                         raise
                     self._take_back()
             if durable:
-                os.fsync(self._descriptor)
+                self._file.sync()
         finally:
-            os.close(self._descriptor)
-            self._descriptor = -1
+            self._file.close()
 
     def _begin_chunk(self) -> None:
         self._pieces: list[bytes] = []
@@ -212,24 +216,12 @@ class McapFile:
         """Give the last chunk up."""
         if self._chunks:
             self._end_at = self._chunks.pop()[0].chunk_start_offset
-            os.ftruncate(self._descriptor, self._end_at)
+            self._file.cut(self._end_at)
 
-    def _append(self, pieces: Iterable[bytes]) -> None:
-        rest = [memoryview(piece) for piece in pieces if piece]
-        at = self._end_at
-        try:
-            while rest:
-                written = os.pwritev(self._descriptor, rest[:_MOST_PIECES], at)
-                at += written
-                while rest and written >= len(rest[0]):
-                    written -= len(rest.pop(0))
-                if written:
-                    rest[0] = rest[0][written:]
-        except OSError:
-            with suppress(OSError):
-                os.ftruncate(self._descriptor, self._end_at)
-            raise
-        self._end_at = at
+    def _append(self, pieces: Sequence[bytes]) -> None:
+        if self._file.direct:
+            pieces = [*pieces, _filler(sum(map(len, pieces)))]
+        self._end_at = self._file.write(pieces, self._end_at)
 
     def _end(self, metadata: Metadata) -> bytes:
         """All that comes after the last chunk."""
@@ -237,3 +229,9 @@ class McapFile:
         return end_of_file(
             self._end_at, metadata, list(self._schemas.values()), self._channels, chunks, self.span, self.counts
         )
+
+
+def _filler(size: int) -> bytes:
+    """A record that fills so many bytes up to whole blocks."""
+    room = -(size + _RECORD_HEAD.size) % BLOCK_BYTES
+    return _RECORD_HEAD.pack(_FILLER, room) + bytes(room)

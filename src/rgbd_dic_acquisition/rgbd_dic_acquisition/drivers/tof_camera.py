@@ -25,6 +25,8 @@ LATCH_S = 2.0
 PLAUSIBLE_NS = 1_000_000_000
 # How long the device's clock is watched before it is told whether it counts nanoseconds [ns].
 MEASURE_RATE_NS = 200_000_000
+# How late a frame may be then, the first or the latest, as the computer is busy [ns].
+BACKLOG_NS = 500_000_000
 POINTS_OFF = "points off the intrinsics [px]"
 
 
@@ -179,5 +181,6 @@ class TofCamera:
         first_device_ns, first_arrival_ns = self._first = self._first or (device_ns, arrival_ns)
         passed_ns = arrival_ns - first_arrival_ns
         if self._is_clock and MEASURE_RATE_NS < passed_ns < 10 * MEASURE_RATE_NS:
-            self._is_clock = 0.5 < (device_ns - first_device_ns) / passed_ns < 2
+            counted_ns = device_ns - first_device_ns
+            self._is_clock = (passed_ns - BACKLOG_NS) / 2 < counted_ns < 2 * (passed_ns + BACKLOG_NS)
         return self._is_clock

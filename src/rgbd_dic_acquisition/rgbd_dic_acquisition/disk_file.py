@@ -1,0 +1,115 @@
+"""A file that grows, written through the kernel's memory for files, or past it.
+
+Through that memory costs the processor more: a copy into it, page by page, bringing the pages to the disk, and giving
+them back. What goes past it comes from memory that begins at a page, and is whole blocks of the disk (open(2),
+O_DIRECT).
+"""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import mmap
+import os
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+
+BLOCK_BYTES = 4096
+_DIRECT = getattr(os, "O_DIRECT", 0)
+_MOST_PIECES = 1024  # that the kernel takes at a time (IOV_MAX)
+
+
+class DiskFile:
+    """A new file, open for writing.
+
+    Args:
+        direct: go past the kernel's memory, if the file system can.
+
+    Attributes:
+        direct: whether that is so; all that is written is then whole blocks, and at their places.
+
+    Raises:
+        OSError: the file is there already, or the disk refuses.
+    """
+
+    def __init__(self, path: Path, direct: bool = False) -> None:
+        self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
+        self._memory = memoryview(mmap.mmap(-1, BLOCK_BYTES))
+        try:
+            self.direct = direct and self._goes_past()
+        except OSError:
+            os.close(self._descriptor)
+            path.unlink()
+            raise
+
+    @property
+    def closed(self) -> bool:
+        return self._descriptor < 0
+
+    def write(self, pieces: Sequence[bytes], at: int) -> int:
+        """Write these one after another, from there on; returns where they end. If that fails, the file ends before.
+
+        Raises:
+            OSError: the disk refuses.
+        """
+        rest, end = [memoryview(piece) for piece in (self._gathered(pieces) if self.direct else pieces) if piece], at
+        try:
+            while rest:
+                written = os.pwritev(self._descriptor, rest[:_MOST_PIECES], end)
+                end += written
+                while rest and written >= len(rest[0]):
+                    written -= len(rest.pop(0))
+                if written:
+                    rest[0] = rest[0][written:]
+        except OSError:
+            with suppress(OSError):
+                self.cut(at)
+            raise
+        return end
+
+    def cut(self, at: int) -> None:
+        """Let the file end there."""
+        os.ftruncate(self._descriptor, at)
+
+    def go_through_the_kernel(self) -> None:
+        """From now on, so that the file can end within a block."""
+        self._set(0)
+        self.direct = False
+
+    def duplicate(self) -> int:
+        """A descriptor of its own, such as for another thread to wait with until all is on the disk."""
+        return os.dup(self._descriptor)
+
+    def sync(self) -> None:
+        """Wait until all is on the disk."""
+        os.fsync(self._descriptor)
+
+    def close(self) -> None:
+        os.close(self._descriptor)
+        self._descriptor = -1
+
+    def _gathered(self, pieces: Sequence[bytes]) -> list[memoryview]:
+        size, end = sum(map(len, pieces)), 0
+        if size > len(self._memory):
+            self._memory = memoryview(mmap.mmap(-1, size))
+        for piece in pieces:
+            self._memory[end : end + len(piece)] = piece
+            end += len(piece)
+        return [self._memory[:size]]
+
+    def _goes_past(self) -> bool:
+        try:
+            self._set(_DIRECT)
+            os.pwrite(self._descriptor, self._memory[:BLOCK_BYTES], 0)
+            self.cut(0)
+        except OSError as error:
+            if error.errno != errno.EINVAL:
+                raise
+            self._set(0)  # the file system cannot
+            return False
+        return _DIRECT != 0
+
+    def _set(self, flag: int) -> None:
+        flags = fcntl.fcntl(self._descriptor, fcntl.F_GETFL)
+        fcntl.fcntl(self._descriptor, fcntl.F_SETFL, flags & ~_DIRECT | flag)
