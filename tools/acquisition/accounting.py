@@ -99,8 +99,10 @@ def _judge_stamps(peer: str, made: Account, recorded: Recorded) -> None:
     late_ns = MIDDLE_NS if peer == CAMERA else 0
     made.errors_ns = np.array([stamp - made.true_ns[int(stamp)] - late_ns for stamp in stamps], float)
     times, stated, by_arrival = _stated(peer, recorded)
-    after = np.clip(np.searchsorted(times, stamps), 1, max(times.size - 1, 1))
+    told = np.searchsorted(times, stamps)
+    after = np.clip(told, 1, max(times.size - 1, 1))
     uncertainty = np.maximum(stated[after - 1], stated[np.minimum(after, times.size - 1)])
+    uncertainty[told == 0] = math.inf
     allowed = SIGMAS * uncertainty + READING_NS
     delivery_ns = DELIVERY_S * 1e9 if peer == AUTOPILOT else 0.0
     allowed = allowed + np.where(

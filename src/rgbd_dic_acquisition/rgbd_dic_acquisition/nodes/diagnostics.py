@@ -99,8 +99,13 @@ class Diagnostics:
         """Add to a counter, such as "received", "dropped" or "invalid"."""
         self._counters[name] += n
 
-    def tell(self, name: str, value: str) -> None:
-        """Put a value beside the counters; it stays until it is told anew."""
+    def tell(self, name: str, value: str, at_once: bool = False) -> None:
+        """Put a value beside the counters; it stays until it is told anew.
+
+        Args:
+            at_once: a change is sent with the level that is set next, not only within a second.
+        """
+        self._untold = self._untold or (at_once and self._told.get(name) != value)
         self._told[name] = value
 
     def warn(self, text: str) -> None:

@@ -90,7 +90,7 @@ class MavlinkNode(Node):
             self._restarts = clock.restarts
             self.get_logger().warning("the autopilot was restarted; its clock is compared anew")
         self._diagnostics.tell("restarts of the autopilot", str(clock.restarts))
-        self._diagnostics.tell("stamps by", "TIMESYNC" if clock.is_synchronised else "arrival")
+        self._diagnostics.tell("stamps by", "TIMESYNC" if clock.is_synchronised else "arrival", at_once=True)
         self._diagnostics.tell("uncertainty of the stamps [ms]", f"{self._uncertainty_ms:.2f}")
         self._diagnostics.tell("shortest delivery taken off [ms]", f"{clock.delivery_ns * 1e-6:.2f}")
         self._diagnostics.tell("round trip of TIMESYNC [ms]", f"{clock.timesync.round_trip_ns * 1e-6:.2f}")
