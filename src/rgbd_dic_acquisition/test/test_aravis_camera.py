@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from gige_peers import ADDRESS, aravis_camera, calibrated, needs_aravis, our_cam
 from rgbd_dic_acquisition.clock import NS
 from rgbd_dic_acquisition.drivers import aravis_library
 from rgbd_dic_acquisition.drivers.aravis_camera import AravisCamera
-from rgbd_dic_acquisition.drivers.aravis_connection import AravisSettings
+from rgbd_dic_acquisition.drivers.aravis_connection import AravisSettings, Connection
 from rgbd_dic_acquisition.errors import DeviceError, SettingsError
 
 WIDTH, HEIGHT = 320, 240
@@ -191,3 +192,27 @@ def test_without_aravis_the_reason_says_what_to_install(monkeypatch):
 def test_settings_that_cannot_work_are_refused(settings, reason):
     with pytest.raises(SettingsError, match=reason):
         AravisSettings(**{**GIGE, **settings})
+
+
+def test_an_answer_that_comes_late_is_not_taken_for_one_to_the_next_question():
+    """A busy camera latches its time only when it is asked again, before that question has reached it."""
+
+    class Busy:
+        told, reads = 0, 0
+
+        def get_integer(self, _: str) -> int:
+            self.reads += 1
+            before = self.told
+            if self.reads == 22:  # what was there before the second question
+                self.told = time.time_ns()
+                time.sleep(0.01)
+            return before
+
+        def execute_command(self, _: str) -> None:
+            pass
+
+    camera = SimpleNamespace(_camera=Busy(), latches=[])
+    for _ in range(2):
+        Connection._latch(camera, "TimestampLatch", "TimestampLatchValue", NS)
+    ((device_ns, before_ns, after_ns),) = camera.latches
+    assert before_ns <= device_ns <= after_ns

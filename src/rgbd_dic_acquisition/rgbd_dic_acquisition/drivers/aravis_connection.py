@@ -185,8 +185,8 @@ class Connection:
             self.readings["problem"] = str(error)
 
     def _latch(self, command: str, value: str, second: int) -> None:
-        old = self._camera.get_integer(value)
-        before_ns = time.time_ns()
+        """What has changed may be the late answer to a question before: in any case it is later than what was there."""
+        before_ns, old = time.time_ns(), self._camera.get_integer(value)
         self._camera.execute_command(command)
         for _ in range(20):
             latched, after_ns = self._camera.get_integer(value), time.time_ns()
