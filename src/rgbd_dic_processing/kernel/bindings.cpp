@@ -18,6 +18,7 @@
 #include "icgn.hpp"
 #include "loops.hpp"
 #include "reference.hpp"
+#include "seed_maps.hpp"
 #include "spline_image.hpp"
 
 namespace py = pybind11;
@@ -137,11 +138,10 @@ std::unique_ptr<SplineImage> make_target(const py::array& image, int degree) {
 
 py::array_t<double> sample(SplineImage& target, const py::array& points) {
   const auto* xy = checked<double>(points, "points", {-1, 2}, "float64 of shape (M, 2)");
-  const auto coefficients = target.covering(target.whole(), 1);
+  const SplineBox coefficients = target.covering(target.whole(), 1);
   const Loops& loops = target.loops();
-  const std::vector<float> weight(loops.width, 1.0f);
-  const Layout one = {0, 1, weight.data()};
-  SampleBuffer value(loops.width);
+  const Layout one = {0, 1};
+  FloatBuffer value(loops.width);
   const auto function = target.degree() == 3 ? loops.sample_cubic : loops.sample_quintic;
   const double right = static_cast<double>(target.cols() - 1),
                bottom = static_cast<double>(target.rows() - 1);
@@ -152,8 +152,7 @@ py::array_t<double> sample(SplineImage& target, const py::array& points) {
     out[i] = std::numeric_limits<double>::quiet_NaN();
     if (!(x >= 0.0 && x <= right && y >= 0.0 && y <= bottom)) continue;
     const LocalWarp warp = {{static_cast<float>(x - x0)}, {static_cast<float>(y - y0)}};
-    const auto around =
-        coefficients->around(static_cast<std::ptrdiff_t>(x0), static_cast<std::ptrdiff_t>(y0));
+    const auto around = coefficients.around(static_cast<std::ptrdiff_t>(x0), static_cast<std::ptrdiff_t>(y0));
     if (function(one, around, warp, value.data())) out[i] = value.data()[0];
   }
   return values;
@@ -167,6 +166,30 @@ const std::int32_t* checked_indices(const std::optional<py::array>& indices, py:
       throw py::index_error("indices[" + std::to_string(i) + "] = " + std::to_string(values[i]) +
                             ": there are " + std::to_string(subsets) + " subsets");
   return values;
+}
+
+py::array_t<double> seed_maps(const py::array& stencil, const py::array& homography, const py::array& lens,
+                              double reach, const std::optional<py::array>& offsets,
+                              const std::optional<py::array>& indices) {
+  const auto* points = checked<double>(stencil, "stencil", {9, -1, 2}, "float64 of shape (9, N, 2)");
+  const auto* h = checked<double>(homography, "homography", {3, 3}, "float64 of shape (3, 3)");
+  const auto* of_lens = checked<double>(lens, "lens", {6}, "float64 of shape (6,)");
+  checked(reach, "reach", 1e-3, 1e6);
+  const py::ssize_t subsets = stencil.shape(1);
+  const double* away =
+      offsets ? checked<double>(*offsets, "offsets", {subsets, 2}, "float64 of shape (N, 2), as the stencil")
+              : nullptr;
+  const std::int32_t* selected = checked_indices(indices, subsets);
+  const py::ssize_t count = indices ? indices->size() : subsets;
+  py::array_t<double> maps({count, py::ssize_t{2}, py::ssize_t{6}});
+  auto* out = reinterpret_cast<Quadratic*>(maps.mutable_data());
+  const Lens raw = {of_lens[0], of_lens[1], of_lens[2], of_lens[3], of_lens[4], of_lens[5]};
+  for (py::ssize_t i = 0; i < count; ++i) {
+    const py::ssize_t k = selected ? selected[i] : i;
+    out[i] = seed_map(points + 2 * k, 2 * subsets, h, raw, reach);
+    for (int axis = 0; away && axis < 2; ++axis) out[i][axis][0] += away[2 * k + axis];
+  }
+  return maps;
 }
 
 py::tuple correlate(const Reference& reference, SplineImage& target, const py::array& seeds,
@@ -248,6 +271,16 @@ PYBIND11_MODULE(_kernel, module) {
            "image: uint8 or float32 (rows, cols); degree of the B-spline: 3 or 5.")
       .def("sample", &sample, arg("points"),
            "Grey values, float64 (M,), at points, float64 (M, 2) x y in px; NaN outside the image.");
+
+  module.def(
+      "seed_maps", &seed_maps, arg("stencil"), arg("homography"), arg("lens"), arg("reach"),
+      arg("offsets") = py::none(), arg("indices") = py::none(),
+      "Seeds of all subsets (M = N), or of those of indices, int32 (M,): float64 (M, 2, 6). stencil: float64 "
+      "(9, N, 2), ideal px of the reference: centres, and the points reach px around them; homography: "
+      "float64 "
+      "(3, 3), ideal px; lens: float64 fx, fy, cx, cy, k1, k2 of the target; offsets: float64 (N, 2), px, "
+      "are "
+      "added.");
 
   module.def("correlate", &correlate, arg("reference"), arg("target"), arg("seeds"),
              arg("indices") = py::none(), arg("max_iterations") = 20, arg("tolerance_px") = 1e-4,

@@ -14,6 +14,7 @@
 #include <utility>
 #include <vector>
 
+#include "image.hpp"
 #include "loops.hpp"
 #include "padded_image.hpp"
 #include "threads.hpp"
@@ -46,32 +47,6 @@ struct SplineDegree {
     return static_cast<int>(std::ceil(std::log(share) / std::log(std::fabs(poles[0]))));
   }
 };
-
-inline void filter_along_columns(const Loops& loops, PaddedImage& image, const SplineDegree& spline,
-                                 int threads) {
-  parallel_blocks(image.cols(), kFilterLanes, threads, [&](int, std::ptrdiff_t begin, std::ptrdiff_t end) {
-    loops.filter_lines(image.row(0) + begin, image.rows(), image.stride(), static_cast<int>(end - begin),
-                       spline.pole_count, spline.poles);
-  });
-}
-
-inline void filter_along_rows(const Loops& loops, PaddedImage& image, const SplineDegree& spline,
-                              int threads) {
-  const std::ptrdiff_t cols = image.cols();
-  std::vector<float> transposed(static_cast<std::size_t>(threads * cols * kFilterLanes));
-  parallel_blocks(image.rows(), kFilterLanes, threads,
-                  [&](int worker, std::ptrdiff_t begin, std::ptrdiff_t end) {
-                    float* lines = transposed.data() + worker * cols * kFilterLanes;
-                    for (std::ptrdiff_t y = begin; y < end; ++y)
-                      for (std::ptrdiff_t x = 0; x < cols; ++x)
-                        lines[x * kFilterLanes + y - begin] = image.row(y)[x];
-                    loops.filter_lines(lines, cols, kFilterLanes, static_cast<int>(end - begin),
-                                       spline.pole_count, spline.poles);
-                    for (std::ptrdiff_t y = begin; y < end; ++y)
-                      for (std::ptrdiff_t x = 0; x < cols; ++x)
-                        image.row(y)[x] = lines[x * kFilterLanes + y - begin];
-                  });
-}
 
 // A sampled Gaussian of standard deviation `sigma`, px, cut at four of them, of sum 1; just 1 for sigma = 0.
 inline std::vector<double> gaussian_weights(double sigma) {
@@ -117,10 +92,10 @@ inline std::vector<double> convolved(const std::vector<double>& one, const std::
   return result;
 }
 
-// The image with weights applied along both axes, continued by mirroring.
-inline PaddedImage weighted(const Loops& loops, const PaddedImage& image, const std::vector<double>& along_x,
-                            const std::vector<double>& along_y, int threads) {
-  const std::ptrdiff_t rows = image.rows(), cols = image.cols();
+// A box of the image with weights applied along both axes, into the same place of another one. The image is
+// continued by mirroring.
+inline void weigh(const Loops& loops, const PaddedImage& image, const std::vector<double>& along_x,
+                  const std::vector<double>& along_y, const Box& box, PaddedImage& result, int threads) {
   const std::ptrdiff_t reach_x = along_x.size() / 2, reach_y = along_y.size() / 2;
   const std::vector<float> x_weights(along_x.begin(), along_x.end()),
       y_weights(along_y.begin(), along_y.end());
@@ -128,28 +103,30 @@ inline PaddedImage weighted(const Loops& loops, const PaddedImage& image, const 
     const std::ptrdiff_t folded = std::abs(k) % (2 * count - 2);
     return folded < count ? folded : 2 * count - 2 - folded;
   };
-  PaddedImage result(rows, cols);
-  const std::ptrdiff_t padded = cols + 2 * reach_x;
-  std::vector<float> lines(static_cast<std::size_t>(threads * padded));
+  const std::ptrdiff_t first = box.x0 - reach_x,
+                       end = box.x1 + reach_x;  // columns that the sums along x take
+  const std::ptrdiff_t begin_known = std::max<std::ptrdiff_t>(first, 0),
+                       end_known = std::min(end, image.cols());
+  std::vector<float> lines(static_cast<std::size_t>(threads * (end - first)));
   std::vector<const float*> pointers(static_cast<std::size_t>(threads) *
                                      (x_weights.size() + y_weights.size()));
-  parallel_blocks(rows, 16, threads, [&](int worker, std::ptrdiff_t begin, std::ptrdiff_t end) {
-    float* line = lines.data() + worker * padded;
+  parallel_blocks(box.y1 - box.y0, 16, threads, [&](int worker, std::ptrdiff_t begin, std::ptrdiff_t stop) {
+    float* line = lines.data() + worker * (end - first) - first;
     const float** around = pointers.data() + worker * (x_weights.size() + y_weights.size());
     const float** shifted = around + y_weights.size();
-    for (std::size_t k = 0; k < x_weights.size(); ++k) shifted[k] = line + k;
-    for (std::ptrdiff_t y = begin; y < end; ++y) {
+    for (std::size_t k = 0; k < x_weights.size(); ++k) shifted[k] = line + first + k;
+    for (std::ptrdiff_t y = box.y0 + begin; y < box.y0 + stop; ++y) {
       for (std::size_t k = 0; k < y_weights.size(); ++k)
-        around[k] = image.row(mirrored(y + static_cast<std::ptrdiff_t>(k) - reach_y, rows));
-      loops.weighted_sum(around, y_weights.data(), static_cast<int>(y_weights.size()), cols, line + reach_x);
-      for (std::ptrdiff_t k = 1; k <= reach_x; ++k) {
-        line[reach_x - k] = line[reach_x + mirrored(-k, cols)];
-        line[reach_x + cols - 1 + k] = line[reach_x + mirrored(cols - 1 + k, cols)];
-      }
-      loops.weighted_sum(shifted, x_weights.data(), static_cast<int>(x_weights.size()), cols, result.row(y));
+        around[k] =
+            image.row(mirrored(y + static_cast<std::ptrdiff_t>(k) - reach_y, image.rows())) + begin_known;
+      loops.weighted_sum(around, y_weights.data(), static_cast<int>(y_weights.size()),
+                         end_known - begin_known, line + begin_known);
+      for (std::ptrdiff_t x = first; x < begin_known; ++x) line[x] = line[mirrored(x, image.cols())];
+      for (std::ptrdiff_t x = end_known; x < end; ++x) line[x] = line[mirrored(x, image.cols())];
+      loops.weighted_sum(shifted, x_weights.data(), static_cast<int>(x_weights.size()), box.x1 - box.x0,
+                         result.row(y) + box.x0);
     }
   });
-  return result;
 }
 
 // What white noise of unit variance in the pixels leaves in what is made of them.

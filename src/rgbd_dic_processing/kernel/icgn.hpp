@@ -14,8 +14,7 @@
 #include <cmath>
 #include <cstdint>
 #include <limits>
-#include <memory>
-#include <new>
+#include <numeric>
 #include <vector>
 
 #include "loops.hpp"
@@ -71,21 +70,6 @@ struct SubsetResult {
   SubsetStatus status = SubsetStatus::kNotConverged;
 };
 
-// Memory for the samples of one subset, as vectors want it.
-class SampleBuffer {
- public:
-  explicit SampleBuffer(std::size_t count)
-      : values_(static_cast<float*>(::operator new(count * sizeof(float), kAlignment))) {}
-  float* data() { return values_.get(); }
-
- private:
-  static constexpr std::align_val_t kAlignment{64};
-  struct Delete {
-    void operator()(float* values) const { ::operator delete(values, kAlignment); }
-  };
-  std::unique_ptr<float, Delete> values_;
-};
-
 // Whether a subset can be searched at all.
 inline SubsetStatus status_in_reference(const Reference& reference, std::ptrdiff_t index,
                                         double min_contrast) {
@@ -116,11 +100,11 @@ inline std::array<double, 2> expected_sigma(const Subset& subset, double noise) 
 // One subset against the target.
 class SubsetMatch {
  public:
-  SubsetMatch(const Reference& reference, const SplineCoefficients& target, const Limits& limits,
-              SampleBuffer& samples)
+  SubsetMatch(const Reference& reference, const SplineBox& target, const Limits& limits, FloatBuffer& samples)
       : reference_(reference),
         loops_(reference.loops()),
         layout_(reference.layout()),
+        shapes_(layout_.size()),
         target_(target),
         limits_(limits),
         g_(samples.data()) {}
@@ -128,8 +112,7 @@ class SubsetMatch {
   SubsetResult correlate(std::ptrdiff_t index, const Quadratic& seed) {
     subset_ = &reference_[index];
     result_ = SubsetResult{};
-    const int half = layout_.half, n = layout_.count(), order = reference_.model().order,
-              p = reference_.model().parameters();
+    const int half = layout_.half, n = layout_.count(), p = reference_.model().parameters();
     for (const Polynomial& line : seed)
       for (const double coefficient : line)
         if (std::isnan(coefficient)) return ended(SubsetStatus::kSkipped);
@@ -138,6 +121,8 @@ class SubsetMatch {
 
     const SubsetEquations equations = reference_.equations(index);
     pixels_ = reference_.pixels(*subset_);
+    mean_g_ = static_cast<float>(subset_->mean);  // the light as it was
+    scale_ = 1.0f;
     Quadratic increment = kIdentity;
     double last_step = std::numeric_limits<double>::infinity(), relaxation = 1.0;
     std::array<double, kMaxParameters> last_edge{};
@@ -146,18 +131,10 @@ class SubsetMatch {
       if (result_.zncc < (result_.iterations > kPatience ? kHopeless : kAbsurd) && result_.iterations > 3)
         return failed(SubsetStatus::kNotConverged, seed);
       if (!sample(composed(seed, increment))) return ended(SubsetStatus::kOutsideImage);
-      const Moments g = loops_.moments(layout_, g_);
-      if (is_uniform(g.mean, g.power, n)) return ended(SubsetStatus::kLowCorrelation);
-      mean_g_ = g.mean;
-      scale_ = static_cast<float>(std::sqrt(subset_->power / g.power));
-      ResidualSums sums;
-      loops_.residual_sums(layout_, pixels_, static_cast<float>(subset_->mean), g_, mean_g_, scale_, order,
-                           sums);
-      result_.zncc = 1.0 - sums.r_r / (2.0 * subset_->power);  // ZNSSD is |r|^2 / |f|^2
-
-      std::array<double, kMaxParameters> gradient{}, dp{};
-      for (int k = 0; k < p; ++k)
-        gradient[k] = sums.r_j[k] - equations.mean_j[k] * sums.r_1 - equations.share_j[k] * sums.r_f;
+      std::array<double, kMaxParameters> gradient{}, dp{};  // gradient: J^T r
+      double r_r = 0.0;
+      if (!compare(equations, gradient, r_r)) return ended(SubsetStatus::kLowCorrelation);
+      result_.zncc = 1.0 - r_r / (2.0 * subset_->power);  // ZNSSD is |r|^2 / |f|^2
       for (int k = 0; k < p; ++k)
         for (int m = 0; m < p; ++m) dp[k] -= equations.inverse[k * p + m] * gradient[m];
       std::array<double, kMaxParameters> edge{};  // motion of the subset's edge by each parameter, px
@@ -173,7 +150,7 @@ class SubsetMatch {
       // first step; after the second, the steps themselves (B. Irons, R. Tuck, "A version of the Aitken
       // accelerator for computer iteration", Int. J. for Numerical Methods in Engineering 1 (1969)).
       const double noise =
-          std::min(0.5 * sums.r_r / (n - p - 2) * std::max(subset_->noise_jd_u, subset_->noise_jd_v), 0.5);
+          std::min(0.5 * r_r / (n - p - 2) * std::max(subset_->noise_jd_u, subset_->noise_jd_v), 0.5);
       if (result_.iterations == 2) relaxation = 1.0 / (1.0 - noise);
       if (result_.iterations > 2) relaxation = std::min(std::max(-relaxation * turn_last / turn, 0.5), 2.5);
       last_edge = edge;
@@ -211,34 +188,65 @@ class SubsetMatch {
   // Samples the target at the warped positions; false if one leaves the image.
   bool sample(const Quadratic& warp) {
     const double x0 = std::floor(warp[0][0]), y0 = std::floor(warp[1][0]);
-    const Box& box = target_.box();
+    const Box& box = target_.box;
     if (!(x0 >= static_cast<double>(box.x0) && x0 < static_cast<double>(box.x1) &&
           y0 >= static_cast<double>(box.y0) && y0 < static_cast<double>(box.y1)))
       return false;
     for (int k = 0; k < kMaxMonomials; ++k) {
-      local_.x[k] = static_cast<float>(k == 0 ? warp[0][0] - x0 : warp[0][k]);
-      local_.y[k] = static_cast<float>(k == 0 ? warp[1][0] - y0 : warp[1][k]);
+      local_.x[k] = static_cast<float>(warp[0][k] - (k == 0 ? x0 : kIdentity[0][k]));
+      local_.y[k] = static_cast<float>(warp[1][k] - (k == 0 ? y0 : kIdentity[1][k]));
     }
     const auto function = reference_.model().degree == 3 ? loops_.sample_cubic : loops_.sample_quintic;
     return function(layout_, target_.around(static_cast<std::ptrdiff_t>(x0), static_cast<std::ptrdiff_t>(y0)),
                     local_, g_);
   }
 
+  // J^T r and |r|^2 of the residual r = f - mean_f - scale (g - mean_g), J free of the constant and of f;
+  // false if the samples are uniform, or too large to be squared. Scale and mean are those of the iteration
+  // before, and follow from the residual as they should have been; they are measured where that would lose
+  // digits.
+  bool compare(const SubsetEquations& equations, std::array<double, kMaxParameters>& j_r, double& r_r) {
+    const SubsetModel& model = reference_.model();
+    const double n = layout_.count(), power = subset_->power;
+    const auto mean_f = static_cast<float>(subset_->mean);
+    for (bool measured = false;; measured = true) {
+      ResidualSums sums;
+      loops_.residual_sums(layout_, pixels_, mean_f, g_, mean_g_, scale_, model.order, sums);
+      // Of scale (g - mean_g) = f - mean_f - r:
+      const double mean = -sums.r_1 / n, power_g = power - 2.0 * sums.r_f + sums.r_r - n * mean * mean;
+      const bool near = n * mean * mean < 0.25 * power && power_g > 0.25 * power && power_g < 4.0 * power;
+      if (!near && !measured) {
+        const Moments g = loops_.moments(layout_, g_);
+        if (is_uniform(g.mean, g.power, layout_.count()) || !std::isfinite(g.power)) return false;
+        mean_g_ = g.mean;
+        scale_ = static_cast<float>(std::sqrt(power / g.power));
+        continue;
+      }
+      const double s = std::sqrt(power / power_g);
+      for (int k = 0; k < model.parameters(); ++k)
+        j_r[k] = s * (sums.r_j[k] - equations.mean_j[k] * sums.r_1 - equations.share_j[k] * sums.r_f);
+      const double rest = (1.0 - s) * ((1.0 - s) * power + 2.0 * s * sums.r_f);
+      r_r = std::max(rest + s * s * (sums.r_r - n * mean * mean), 0.0);
+      mean_g_ += static_cast<float>(mean / scale_);
+      scale_ *= static_cast<float>(s);
+      return true;
+    }
+  }
+
   // The result of a subset that comes to rest with the step dp.
   const SubsetResult& judged(const std::array<double, kMaxParameters>& dp, const Quadratic& warp) {
-    BlockResidual blocks[kBlocks];
-    loops_.block_residuals(layout_, pixels_, static_cast<float>(subset_->mean), g_, mean_g_, scale_, blocks);
-    const Residuals residuals =
-        after_step(*subset_, layout_.size(), blocks, dp, reference_.model().parameters() / 2);
+    BlockResiduals residuals;
+    loops_.block_residuals(layout_, pixels_, static_cast<float>(subset_->mean), g_, mean_g_, scale_,
+                           residuals);
+    take_step(*subset_, shapes_, dp, reference_.model().parameters() / 2, residuals);
+    const double power = std::accumulate(residuals.r_r, residuals.r_r + kBlocks, 0.0);
     // Residual variance with p + 2 parameters estimated, for white noise of equal strength in both images:
     // sampling between pixels weakens the target's share of the residual, but not what it does to the
     // parameters, which depend on low frequencies only.
     const double gain = loops_.mean_gain(layout_, local_, reference_.noise_gain().sample());
     const double strength = 2.0 / (1.0 + gain);
-    const double variance =
-        strength * residuals.power / (layout_.count() - reference_.model().parameters() - 2);
-    const Misfit misfit =
-        rgbd_dic::misfit(*subset_, layout_.size(), residuals, strength, limits_.max_misfit_px);
+    const double variance = strength * power / (layout_.count() - reference_.model().parameters() - 2);
+    const Misfit misfit = rgbd_dic::misfit(*subset_, shapes_, residuals, strength, limits_.max_misfit_px);
     if (misfit.torn) return ended(SubsetStatus::kTorn);
 
     const double u = noise_factor(0.5 * variance, subset_->noise_jj_u, subset_->noise_jd_u);
@@ -267,16 +275,17 @@ class SubsetMatch {
   // not.
   const SubsetResult& failed(SubsetStatus status, const Quadratic& seed) {
     if (!sample(seed)) return ended(status);
-    BlockSamples samples[kBlocks];
+    BlockSamples samples;
     const float mean_g = loops_.moments(layout_, g_).mean;
     loops_.block_samples(layout_, pixels_, static_cast<float>(subset_->mean), g_, mean_g, samples);
-    return ended(is_partly_there(*subset_, layout_.size(), samples) ? SubsetStatus::kTorn : status);
+    return ended(is_partly_there(*subset_, shapes_, samples) ? SubsetStatus::kTorn : status);
   }
 
   const Reference& reference_;
   const Loops& loops_;
   const Layout layout_;
-  const SplineCoefficients& target_;
+  const BlockShapes shapes_;
+  const SplineBox& target_;
   const Limits& limits_;
   float* g_;
   const Subset* subset_ = nullptr;
@@ -319,13 +328,13 @@ void correlate_subsets(const Reference& reference, SplineImage& target, const st
         reachable(seeds[indices ? indices[i] : i], layout.half, limits.max_shift_px, target.whole());
     if (!reach.empty()) box = box.joined(reach);
   }
-  const auto coefficients = target.covering(box.empty() ? Box{0, 0, 1, 1} : box, threads);
+  const SplineBox coefficients = target.covering(box.empty() ? Box{0, 0, 1, 1} : box, threads);
   const std::size_t stored =
       static_cast<std::size_t>(layout.columns) * reference.loops().width * layout.size();
-  std::vector<SampleBuffer> samples;
+  std::vector<FloatBuffer> samples;
   for (int worker = 0; worker < threads; ++worker) samples.emplace_back(stored);
   parallel_blocks(count, 32, threads, [&](int worker, std::ptrdiff_t begin, std::ptrdiff_t end) {
-    SubsetMatch match(reference, *coefficients, limits, samples[worker]);
+    SubsetMatch match(reference, coefficients, limits, samples[worker]);
     for (std::ptrdiff_t i = begin; i < end; ++i) {
       const std::ptrdiff_t k = indices ? indices[i] : i;
       store(i, match.correlate(k, seeds[k]));

@@ -25,6 +25,10 @@ struct Box {
   Box within(const Box& other) const {
     return {std::max(x0, other.x0), std::max(y0, other.y0), std::min(x1, other.x1), std::min(y1, other.y1)};
   }
+  Box grown(std::ptrdiff_t by) const { return {x0 - by, y0 - by, x1 + by, y1 + by}; }
+  Box from(const Box& frame) const {  // in coordinates that begin with the frame
+    return {x0 - frame.x0, y0 - frame.y0, x1 - frame.x0, y1 - frame.y0};
+  }
   Box joined(const Box& other) const {
     return {std::min(x0, other.x0), std::min(y0, other.y0), std::max(x1, other.x1), std::max(y1, other.y1)};
   }
@@ -46,19 +50,18 @@ class Image {
   std::ptrdiff_t rows() const { return rows_; }
   std::ptrdiff_t cols() const { return cols_; }
 
-  // A part of it, margin not filled.
-  PaddedImage part(const Box& box) const {
-    PaddedImage part(box.y1 - box.y0, box.x1 - box.x0);
-    std::visit(
-        [&](const auto& pixels) {
-          for (std::ptrdiff_t y = box.y0; y < box.y1; ++y)
-            std::copy_n(pixels.data() + y * cols_ + box.x0, box.x1 - box.x0, part.row(y - box.y0));
-        },
-        pixels_);
-    return part;
-  }
+  Box whole() const { return {0, 0, cols_, rows_}; }
 
-  PaddedImage whole() const { return part({0, 0, cols_, rows_}); }
+  // A part of it, line by line `stride` floats apart.
+  void copy(const Loops& loops, const Box& box, float* out, std::ptrdiff_t stride) const {
+    for (std::ptrdiff_t y = box.y0; y < box.y1; ++y, out += stride) {
+      const std::ptrdiff_t first = y * cols_ + box.x0, count = box.x1 - box.x0;
+      if (const auto* bytes = std::get_if<std::vector<std::uint8_t>>(&pixels_))
+        loops.to_floats(bytes->data() + first, count, out);
+      else
+        std::copy_n(std::get<std::vector<float>>(pixels_).data() + first, count, out);
+    }
+  }
 
  private:
   std::ptrdiff_t rows_, cols_;

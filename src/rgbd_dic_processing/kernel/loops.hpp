@@ -3,6 +3,7 @@
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
 #include <vector>
 
 namespace rgbd_dic {
@@ -19,7 +20,6 @@ constexpr int monomial_count(int order) { return order == 1 ? 3 : 6; }
 // of Loops; the last column may stick out of the subset), row by row within a column.
 struct Layout {
   int half, columns;
-  const float* weight;  // columns x width: 1 inside of the subset, 0 beyond
 
   int size() const { return 2 * half + 1; }
   int count() const { return size() * size(); }
@@ -31,6 +31,12 @@ struct ReferencePixels {
   const float *f, *jx, *jy, *dx, *dy;
   std::ptrdiff_t stride;
 };
+
+// Sums down the columns of pixels through some subsets beside each other, lines of floats that are added up
+// along the subsets: of products of gradients by level or power of eta, and of the gradients by power of eta.
+constexpr int column_sum_count(int order) {
+  return 4 * (4 + 2 * order) + 3 * (2 * order + 1) + 3 * 4 + 4 * (order + 1);
+}
 
 // Sums over a subset for its normal equations: of products times xi^p eta^q, [q][p], and of f, f^2.
 struct ProductSums {
@@ -49,7 +55,8 @@ struct SplinePixels {
   float low_x, high_x, low_y, high_y;
 };
 
-// x' and y' as polynomials in [1, xi, eta, xi^2, xi eta, eta^2], relative to SplinePixels::origin.
+// x' - xi and y' - eta as polynomials in [1, xi, eta, xi^2, xi eta, eta^2], relative to SplinePixels::origin:
+// float32 holds them better than x' and y'.
 struct LocalWarp {
   float x[kMaxMonomials], y[kMaxMonomials];
 };
@@ -67,19 +74,17 @@ struct ResidualSums {
 constexpr int kSide = 4, kBlocks = kSide * kSide;
 inline int block_start(int k, int size) { return k * size / kSide; }  // first column or line of the k-th
 inline int block_length(int k, int size) { return block_start(k + 1, size) - block_start(k, size); }
-inline int block_count(int k, int size) {  // pixels of block k
-  return block_length(k % kSide, size) * block_length(k / kSide, size);
-}
 
-// Sums over a block.
+// Sums over each block.
+using BlockSum = float[kBlocks];
 struct BlockProducts {
-  float f, f_f, jx_dx, jx_dy, jy_dx, jy_dy, dx_dx, dx_dy, dy_dy;
+  BlockSum f, f_f, jx_dx, jx_dy, jy_dx, jy_dy, dx_dx, dx_dy, dy_dy;
 };
-struct BlockResidual {
-  float r_r, r_jx, r_jy;
+struct BlockResiduals {
+  BlockSum r_r, r_jx, r_jy;
 };
 struct BlockSamples {
-  float g, g_g, f_g;
+  BlockSum g, g_g, f_g;
 };
 
 struct Loops {
@@ -96,31 +101,39 @@ struct Loops {
   void (*residual_sums)(const Layout&, const ReferencePixels&, float mean_f, const float* g, float mean_g,
                         float scale, int order, ResidualSums&);
   void (*block_residuals)(const Layout&, const ReferencePixels&, float mean_f, const float* g, float mean_g,
-                          float scale, BlockResidual (&)[kBlocks]);
+                          float scale, BlockResiduals&);
 
   // Of f - mean_f and g - mean_g.
   void (*block_samples)(const Layout&, const ReferencePixels&, float mean_f, const float* g, float mean_g,
-                        BlockSamples (&)[kBlocks]);
+                        BlockSamples&);
 
-  void (*product_sums)(const Layout&, const ReferencePixels&, int order, ProductSums&);
-  void (*block_products)(const Layout&, const ReferencePixels&, float mean_f, BlockProducts (&)[kBlocks]);
+  // Of `count` columns from the pixel on; the lines of sums are `stride` floats apart and take a whole number
+  // of vectors.
+  void (*column_sums)(const Layout&, const ReferencePixels&, int order, std::ptrdiff_t count, float* sums,
+                      std::ptrdiff_t stride);
+
+  // `columns`: those sums, from the first column of the subset on. In the blocks f - mean_f stands for f.
+  void (*product_sums)(const Layout&, const ReferencePixels&, int order, const float* columns,
+                       std::ptrdiff_t stride, ProductSums&, BlockProducts&);
 
   // Mean over the subset of gain(x) gain(y), each a polynomial of four coefficients in (t - 1/2)^2, where t
   // is the fraction of a coordinate.
   float (*mean_gain)(const Layout&, const LocalWarp&, const float (&gain)[4]);
 
-  // Recursive filter along `count` values of `lanes` lines, in place; value k of line l is data[k * step +
-  // l].
-  void (*filter_lines)(float* data, std::ptrdiff_t count, std::ptrdiff_t step, int lanes, int pole_count,
-                       const double* poles);
+  void (*to_floats)(const std::uint8_t* pixels, std::ptrdiff_t count, float* out);
+
+  // Recursive filter along `count` values of some lines, in place; value k of line l is data[k * step + l].
+  void (*filter_lines)(float* data, std::ptrdiff_t count, std::ptrdiff_t step, std::ptrdiff_t lines,
+                       int pole_count, const double* poles);
+
+  // to[k * to_step + l] = from[l * from_step + k] for l < lines and k < count.
+  void (*transpose)(const float* from, std::ptrdiff_t from_step, std::ptrdiff_t lines, std::ptrdiff_t count,
+                    float* to, std::ptrdiff_t to_step);
 
   // out[i] = sum over k of weights[k] lines[k][i], i < count.
   void (*weighted_sum)(const float* const* lines, const float* weights, int terms, std::ptrdiff_t count,
                        float* out);
 };
-
-// Lines that are filtered side by side, so that the recursion along them runs on vectors across them.
-constexpr int kFilterLanes = 32;
 
 // Those that this processor can run, the fastest first.
 const std::vector<const Loops*>& available_loops();

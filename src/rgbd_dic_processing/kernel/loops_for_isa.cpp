@@ -23,10 +23,12 @@ const Loops kLoops = {RGBD_DIC_NAME_OF(RGBD_DIC_ISA),
                       residual_sums,
                       block_residuals,
                       block_samples,
+                      column_sums,
                       product_sums,
-                      block_products,
                       mean_gain,
+                      to_floats,
                       filter_lines,
+                      transpose,
                       weighted_sum};
 
 }  // namespace rgbd_dic::RGBD_DIC_ISA

@@ -44,7 +44,7 @@ struct Subset {
   // What share of the diagonal of J^T J and J^T D is noise, for noise of unit variance.
   float noise_jj_u = 0, noise_jj_v = 0, noise_jd_u = 0, noise_jd_v = 0;
 
-  BlockProducts blocks[kBlocks] = {};  // f with the mean taken off
+  BlockProducts blocks = {};  // f with the mean taken off
 
   double contrast(int count) const { return std::sqrt(power / count); }
 };
@@ -108,20 +108,38 @@ class Reference {
       : loops_(loops),
         model_(checked(model)),
         noise_gain_(loops, SplineDegree::of(model.degree), model.smoothing),
-        f_(image.whole()),
         subsets_(static_cast<std::size_t>(count)),
         equations_(static_cast<std::size_t>(count * equation_size())) {
-    weight_.assign(static_cast<std::size_t>((model.size + loops.width - 1) / loops.width * loops.width),
-                   0.0f);
-    std::fill_n(weight_.begin(), model.size, 1.0f);
+    Box seen = {image.cols(), image.rows(), 0, 0};
+    for (std::ptrdiff_t i = 0; i < count; ++i) {
+      const Box pixels = place(subsets_[i], centres[2 * i], centres[2 * i + 1], image.whole());
+      if (!pixels.empty()) seen = seen.joined(pixels);
+    }
+    if (seen.empty()) return;
     const std::vector<double> one = {1.0}, gaussian = gaussian_weights(model.smoothing);
     const std::vector<double> derivative = derivative_weights(SplineDegree::of(model.degree));
-    const PaddedImage dx = weighted(loops, f_, derivative, one, threads);
-    const PaddedImage dy = weighted(loops, f_, one, derivative, threads);
-    jx_ = weighted(loops, dx, gaussian, gaussian, threads);
-    jy_ = weighted(loops, dy, gaussian, gaussian, threads);
-    parallel_blocks(count, 64, threads, [&](int, std::ptrdiff_t begin, std::ptrdiff_t end) {
-      for (std::ptrdiff_t i = begin; i < end; ++i) prepare(i, centres[2 * i], centres[2 * i + 1], dx, dy);
+    const auto reach = [](const std::vector<double>& weights) {
+      return static_cast<std::ptrdiff_t>(weights.size() / 2);
+    };
+    const Box smoothed = seen.grown(reach(gaussian)).within(image.whole());
+    frame_ = smoothed.grown(reach(derivative)).within(image.whole());
+    const std::ptrdiff_t rows = frame_.y1 - frame_.y0, cols = frame_.x1 - frame_.x0;
+    f_ = PaddedImage(rows, cols);
+    image.copy(loops, frame_, f_.row(0), f_.stride());
+    PaddedImage dx(rows, cols), dy(rows, cols);
+    jx_ = PaddedImage(rows, cols);
+    jy_ = PaddedImage(rows, cols);
+    weigh(loops, f_, derivative, one, smoothed.from(frame_), dx, threads);
+    weigh(loops, f_, one, derivative, smoothed.from(frame_), dy, threads);
+    weigh(loops, dx, gaussian, gaussian, seen.from(frame_), jx_, threads);
+    weigh(loops, dy, gaussian, gaussian, seen.from(frame_), jy_, threads);
+    std::vector<std::vector<float>> columns(static_cast<std::size_t>(threads));
+    parallel_blocks(count, 64, threads, [&](int worker, std::ptrdiff_t begin, std::ptrdiff_t end) {
+      while (begin < end) {
+        const std::ptrdiff_t next = end_of_run(begin, end);
+        prepare(begin, next, dx, dy, columns[static_cast<std::size_t>(worker)]);
+        begin = next;
+      }
     });
   }
 
@@ -131,9 +149,7 @@ class Reference {
   std::ptrdiff_t size() const { return static_cast<std::ptrdiff_t>(subsets_.size()); }
   const Subset& operator[](std::ptrdiff_t i) const { return subsets_[i]; }
 
-  Layout layout() const {
-    return {model_.size / 2, static_cast<int>(weight_.size()) / loops_.width, weight_.data()};
-  }
+  Layout layout() const { return {model_.size / 2, (model_.size + loops_.width - 1) / loops_.width}; }
 
   SubsetEquations equations(std::ptrdiff_t i) const {
     const int p = model_.parameters();
@@ -143,8 +159,7 @@ class Reference {
 
   // The pixels around a subset's centre.
   ReferencePixels pixels(const Subset& subset) const {
-    const auto at = [&](const PaddedImage& plane) { return plane.row(subset.y) + subset.x; };
-    return {at(f_), at(jx_), at(jy_), nullptr, nullptr, f_.stride()};
+    return {at(f_, subset), at(jx_, subset), at(jy_, subset), nullptr, nullptr, f_.stride()};
   }
 
  private:
@@ -164,29 +179,73 @@ class Reference {
     return p * p + 2 * p;
   }
 
-  void prepare(std::ptrdiff_t i, double x, double y, const PaddedImage& dx, const PaddedImage& dy) {
-    Subset& subset = subsets_[i];
+  const float* at(const PaddedImage& plane, const Subset& subset) const {
+    return plane.row(subset.y - frame_.y0) + (subset.x - frame_.x0);
+  }
+
+  // Centres a subset at the pixel nearest to its point; returns its pixels, none if they are not all in the
+  // image.
+  Box place(Subset& subset, double x, double y, const Box& image) const {
     const double half = model_.size / 2, column = std::nearbyint(x), line = std::nearbyint(y);
-    if (!(column >= half && column + half <= static_cast<double>(f_.cols() - 1) && line >= half &&
-          line + half <= static_cast<double>(f_.rows() - 1)))  // NaN is not inside either
-      return;
+    if (!(column >= half && column + half <= static_cast<double>(image.x1 - 1) && line >= half &&
+          line + half <= static_cast<double>(image.y1 - 1)))  // NaN is not inside either
+      return {};
     subset.x = static_cast<std::int32_t>(column);
     subset.y = static_cast<std::int32_t>(line);
     subset.away_x = static_cast<float>(x - column);
     subset.away_y = static_cast<float>(y - line);
     subset.state = Subset::State::kSingular;
+    return Box{subset.x, subset.y, subset.x + 1, subset.y + 1}.grown(model_.size / 2);
+  }
 
+  // The end of those subsets from `begin` on that lie beside each other in a row, as in a grid.
+  std::ptrdiff_t end_of_run(std::ptrdiff_t begin, std::ptrdiff_t end) const {
+    std::ptrdiff_t next = begin + 1;
+    for (; next < end; ++next) {
+      const Subset &one = subsets_[next - 1], &other = subsets_[next];
+      if (one.state == Subset::State::kOutside || other.state == Subset::State::kOutside ||
+          one.y != other.y || std::abs(one.x - other.x) > model_.size)
+        break;
+    }
+    return next;
+  }
+
+  // A run of subsets; what they share is summed up once, in `columns`.
+  void prepare(std::ptrdiff_t begin, std::ptrdiff_t end, const PaddedImage& dx, const PaddedImage& dy,
+               std::vector<float>& columns) {
+    if (subsets_[begin].state == Subset::State::kOutside) return;
+    const auto [left, right] =
+        std::minmax_element(subsets_.begin() + begin, subsets_.begin() + end,
+                            [](const Subset& one, const Subset& other) { return one.x < other.x; });
+    const Layout layout = this->layout();
+    const std::ptrdiff_t first = left->x - layout.half, last_start = right->x - layout.half,
+                         count = last_start - first + layout.columns * loops_.width,
+                         stride = (count / loops_.width + 1) * loops_.width;
+    columns.resize(
+        std::max(columns.size(), static_cast<std::size_t>(column_sum_count(model_.order) * stride)));
+    Subset corner = *left;
+    corner.x -= layout.half;
+    loops_.column_sums(layout, pixels(corner, dx, dy), model_.order, count, columns.data(), stride);
+    for (std::ptrdiff_t i = begin; i < end; ++i)
+      prepare(i, pixels(subsets_[i], dx, dy), columns.data() + (subsets_[i].x - layout.half - first), stride);
+  }
+
+  ReferencePixels pixels(const Subset& subset, const PaddedImage& dx, const PaddedImage& dy) const {
+    ReferencePixels found = pixels(subset);
+    found.dx = at(dx, subset);
+    found.dy = at(dy, subset);
+    return found;
+  }
+
+  void prepare(std::ptrdiff_t i, const ReferencePixels& pixels, const float* columns, std::ptrdiff_t stride) {
+    Subset& subset = subsets_[i];
     const Layout layout = this->layout();
     const int n = layout.count(), p = model_.parameters(), monomials = p / 2;
     ProductSums sums;
-    ReferencePixels pixels = this->pixels(subset);
-    pixels.dx = dx.row(subset.y) + subset.x;
-    pixels.dy = dy.row(subset.y) + subset.x;
-    loops_.product_sums(layout, pixels, model_.order, sums);
+    loops_.product_sums(layout, pixels, model_.order, columns, stride, sums, subset.blocks);
     subset.mean = static_cast<float>(sums.f / n);
     subset.power = sums.f_f;
     if (is_uniform(subset.mean, subset.power, n)) return;
-    loops_.block_products(layout, pixels, static_cast<float>(subset.mean), subset.blocks);
 
     // Powers of xi and eta of each monomial.
     constexpr int kXi[] = {0, 1, 0, 2, 1, 0}, kEta[] = {0, 0, 1, 0, 1, 2};
@@ -252,10 +311,10 @@ class Reference {
   const Loops& loops_;
   SubsetModel model_;
   NoiseGain noise_gain_;
+  Box frame_;  // the part of the image that is needed, in which the planes are
   PaddedImage f_, jx_, jy_;
-  std::vector<float> weight_;
-  std::vector<Subset> subsets_;
-  std::vector<double> equations_;
+  std::vector<Subset, Allocator<Subset>> subsets_;
+  std::vector<double, Allocator<double>> equations_;
 };
 
 }  // namespace rgbd_dic

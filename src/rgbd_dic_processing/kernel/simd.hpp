@@ -3,6 +3,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
+#include <utility>
 
 #if defined(__AVX512F__) || defined(__AVX2__) || defined(__SSE2__)
 #include <immintrin.h>
@@ -32,6 +33,7 @@ RGBD_DIC_INLINE Floats load(const float* values) {
 }
 
 RGBD_DIC_INLINE void store(float* values, Floats vector) { std::memcpy(values, &vector, sizeof vector); }
+RGBD_DIC_INLINE void store(std::int32_t* values, Ints vector) { std::memcpy(values, &vector, sizeof vector); }
 
 RGBD_DIC_INLINE Floats all_equal(float value) { return Floats{} + value; }
 
@@ -40,6 +42,11 @@ RGBD_DIC_INLINE Ints lane_numbers() {
   Ints lanes;
   for (int l = 0; l < kWidth; ++l) lanes[l] = l;
   return lanes;
+}
+
+// Which pixels of a column belong to the subset. In those beyond may be anything.
+RGBD_DIC_INLINE Ints inside(const Layout& layout, int column) {
+  return lane_numbers() < layout.size() - column * kWidth;
 }
 
 RGBD_DIC_INLINE bool any(Ints mask) {
@@ -70,26 +77,6 @@ RGBD_DIC_INLINE float sum(Floats v) {
 #endif
 }
 
-RGBD_DIC_INLINE std::int32_t smallest(Ints v) {
-#if defined(__AVX512F__)
-  return _mm512_reduce_min_epi32((__m512i)v);
-#else
-  std::int32_t value = v[0];
-  for (int l = 1; l < kWidth; ++l) value = v[l] < value ? v[l] : value;
-  return value;
-#endif
-}
-
-RGBD_DIC_INLINE std::int32_t largest(Ints v) {
-#if defined(__AVX512F__)
-  return _mm512_reduce_max_epi32((__m512i)v);
-#else
-  std::int32_t value = v[0];
-  for (int l = 1; l < kWidth; ++l) value = v[l] > value ? v[l] : value;
-  return value;
-#endif
-}
-
 // Lane l is element index[l], 0 <= index[l] < 2 kWidth, of the two vectors end to end.
 RGBD_DIC_INLINE Floats pick(Floats low, Floats high, Ints index) {
 #if defined(__AVX512F__)
@@ -106,6 +93,41 @@ RGBD_DIC_INLINE Floats pick(Floats low, Floats high, Ints index) {
   for (int l = 0; l < kWidth; ++l) picked[l] = index[l] < kWidth ? low[index[l]] : high[index[l] - kWidth];
   return picked;
 #endif
+}
+
+// The elements of two vectors in turn: of their first halves, and of their second ones.
+template <int... lane>
+RGBD_DIC_INLINE void interleave(Floats one, Floats other, Floats& first, Floats& second,
+                                std::integer_sequence<int, lane...>) {
+  first = __builtin_shufflevector(one, other, (lane / 2 + lane % 2 * kWidth)...);
+  second = __builtin_shufflevector(one, other, (kWidth / 2 + lane / 2 + lane % 2 * kWidth)...);
+}
+
+RGBD_DIC_INLINE void interleave(Floats one, Floats other, Floats& first, Floats& second) {
+  interleave(one, other, first, second, std::make_integer_sequence<int, kWidth>{});
+}
+
+// Element k of row l becomes element l of row k.
+RGBD_DIC_INLINE void transpose_block(Floats (&rows)[kWidth]) {
+  for (int done = 1; done < kWidth; done *= 2) {
+    Floats next[kWidth];
+    for (int k = 0; k < kWidth / 2; ++k)
+      interleave(rows[k], rows[k + kWidth / 2], next[2 * k], next[2 * k + 1]);
+    for (int k = 0; k < kWidth; ++k) rows[k] = next[k];
+  }
+}
+
+// Element k is the sum of vector k.
+RGBD_DIC_INLINE Floats sums_of(const Floats (&vectors)[kWidth]) {
+  Floats part[kWidth];
+  for (int k = 0; k < kWidth; ++k) part[k] = vectors[k];
+  for (int half = kWidth / 2; half > 0; half /= 2)
+    for (int k = 0; k < half; ++k) {
+      Floats first, second;
+      interleave(part[k], part[k + half], first, second);
+      part[k] = first + second;
+    }
+  return part[0];
 }
 
 // The greatest integers that are not greater, |v| < 2^31.

@@ -14,48 +14,57 @@
 namespace rgbd_dic {
 
 // Of what the last step takes off the residual's power, the part that stays in doubt: a step is not linear.
-constexpr double kNotLinear = 0.01;
+constexpr float kNotLinear = 0.01f;
 
-// Of the blocks, and over all of them.
-struct Residuals {
-  BlockResidual blocks[kBlocks];
-  double power;  // sum of r^2
+// The blocks of subsets of one size.
+struct BlockShapes {
+  int size;                    // of the subset, px
+  BlockSum xi, eta;            // of a block's middle from the subset's centre, px
+  BlockSum wide, high, count;  // mean square of its pixels' way from there along x and y, px^2; its pixels
+
+  explicit BlockShapes(int size) : size(size) {
+    for (int k = 0; k < kBlocks; ++k) {
+      const int column = k % kSide, level = k / kSide;
+      const auto length = static_cast<float>(block_length(column, size)),
+                 height = static_cast<float>(block_length(level, size));
+      xi[k] = static_cast<float>(block_start(column, size)) + 0.5f * (length - static_cast<float>(size));
+      eta[k] = static_cast<float>(block_start(level, size)) + 0.5f * (height - static_cast<float>(size));
+      wide[k] = (length * length - 1.0f) / 12.0f;
+      high[k] = (height * height - 1.0f) / 12.0f;
+      count[k] = length * height;
+    }
+  }
 };
 
-// Those of a subset of this size after the step that follows from the residuals of its blocks: r + D dp, dp
-// with as many monomials along each axis.
-inline Residuals after_step(const Subset& subset, int size, const BlockResidual (&blocks)[kBlocks],
-                            const std::array<double, kMaxParameters>& dp, int monomials) {
-  Residuals after{};
-  std::copy_n(blocks, kBlocks, after.blocks);
-  Polynomial u{}, v{};
-  std::copy_n(dp.begin(), monomials, u.begin());
-  std::copy_n(dp.begin() + monomials, monomials, v.begin());
-  const auto extent = [size](int k) {  // of a block: its middle from the subset's centre, and its variance
-    const double length = block_length(k, size);
-    return std::pair(block_start(k, size) + 0.5 * (length - size), (length * length - 1.0) / 12.0);
-  };
-  for (int k = 0; k < kBlocks; ++k) {
-    const auto [xi, wide] = extent(k % kSide);
-    const auto [eta, high] = extent(k / kSide);
-    const double u_0 = evaluated(u, xi, eta), u_x = u[1] + 2.0 * u[3] * xi + u[4] * eta,
-                 u_y = u[2] + u[4] * xi + 2.0 * u[5] * eta;
-    const double v_0 = evaluated(v, xi, eta), v_x = v[1] + 2.0 * v[3] * xi + v[4] * eta,
-                 v_y = v[2] + v[4] * xi + 2.0 * v[5] * eta;
-    const double u_u = u_0 * u_0 + u_x * u_x * wide + u_y * u_y * high,  // means over the block
-        u_v = u_0 * v_0 + u_x * v_x * wide + u_y * v_y * high,
-                 v_v = v_0 * v_0 + v_x * v_x * wide + v_y * v_y * high;
-    const BlockProducts& block = subset.blocks[k];
-    BlockResidual& r = after.blocks[k];
-    r.r_jx += static_cast<float>(block.jx_dx * u_0 + block.jx_dy * v_0);
-    r.r_jy += static_cast<float>(block.jy_dx * u_0 + block.jy_dy * v_0);
-    // |r|^2 = |(r + D dp) - D dp|^2; across the pattern what is left is as little along D as along J.
-    const double taken = block.dx_dx * u_u + 2.0 * block.dx_dy * u_v + block.dy_dy * v_v;
-    r.r_r += static_cast<float>(2.0 * (r.r_jx * u_0 + r.r_jy * v_0) - taken);
-    r.r_r = std::max(r.r_r, static_cast<float>(kNotLinear * taken));
-    after.power += r.r_r;
+// Turns residuals into those after the step that follows from them: r + D dp, dp with as many monomials along
+// each axis.
+inline void take_step(const Subset& subset, const BlockShapes& shapes,
+                      const std::array<double, kMaxParameters>& dp, int monomials,
+                      BlockResiduals& residuals) {
+  float u[kMaxMonomials] = {}, v[kMaxMonomials] = {};
+  for (int m = 0; m < monomials; ++m) {
+    u[m] = static_cast<float>(dp[m]);
+    v[m] = static_cast<float>(dp[monomials + m]);
   }
-  return after;
+  const BlockProducts& sums = subset.blocks;
+  for (int k = 0; k < kBlocks; ++k) {
+    const float xi = shapes.xi[k], eta = shapes.eta[k], wide = shapes.wide[k], high = shapes.high[k];
+    const float u_0 = u[0] + xi * (u[1] + xi * u[3] + eta * u[4]) + eta * (u[2] + eta * u[5]),
+                u_x = u[1] + 2.0f * u[3] * xi + u[4] * eta, u_y = u[2] + u[4] * xi + 2.0f * u[5] * eta;
+    const float v_0 = v[0] + xi * (v[1] + xi * v[3] + eta * v[4]) + eta * (v[2] + eta * v[5]),
+                v_x = v[1] + 2.0f * v[3] * xi + v[4] * eta, v_y = v[2] + v[4] * xi + 2.0f * v[5] * eta;
+    const float u_u = u_0 * u_0 + u_x * u_x * wide + u_y * u_y * high,  // means over the block
+        u_v = u_0 * v_0 + u_x * v_x * wide + u_y * v_y * high,
+                v_v = v_0 * v_0 + v_x * v_x * wide + v_y * v_y * high;
+    const float r_jx = residuals.r_jx[k] + sums.jx_dx[k] * u_0 + sums.jx_dy[k] * v_0;
+    const float r_jy = residuals.r_jy[k] + sums.jy_dx[k] * u_0 + sums.jy_dy[k] * v_0;
+    // |r|^2 = |(r + D dp) - D dp|^2; across the pattern what is left is as little along D as along J.
+    const float taken = sums.dx_dx[k] * u_u + 2.0f * sums.dx_dy[k] * u_v + sums.dy_dy[k] * v_v;
+    const float r_r = residuals.r_r[k] + 2.0f * (r_jx * u_0 + r_jy * v_0) - taken;
+    residuals.r_jx[k] = r_jx;
+    residuals.r_jy[k] = r_jy;
+    residuals.r_r[k] = std::max(r_r, kNotLinear * taken);
+  }
 }
 
 // How the parts of a subset that came to rest are displaced against the whole.
@@ -73,8 +82,8 @@ struct BlockDisplacement {
 
 // The displacement that explains most of the block residuals, a polynomial in each direction, of the first
 // `monomials` of [1, xi, eta, xi^2, xi eta, eta^2, xi^3, ...]. Zero if it is not determined.
-inline BlockDisplacement block_displacement(const Subset& subset, int size,
-                                            const BlockResidual (&residuals)[kBlocks], int monomials) {
+inline BlockDisplacement block_displacement(const Subset& subset, int size, const BlockResiduals& residuals,
+                                            int monomials) {
   const int p = 2 * monomials;
   Square normal{}, inverse{};
   std::array<double, kMaxUnknowns> right{};
@@ -83,21 +92,20 @@ inline BlockDisplacement block_displacement(const Subset& subset, int size,
     return std::pair((first + end) / whole - 1.0, (end - first) / whole);
   };
   for (int k = 0; k < kBlocks; ++k) {
-    const BlockProducts& block = subset.blocks[k];
     const auto [x, wide] = middle(k % kSide);
     const auto [y, high] = middle(k / kSide);
     const double xx = x * x + wide * wide / 3.0, yy = y * y + high * high / 3.0;  // means over the block
     const double powers[] = {
         1.0, x, y, xx, x * y, yy, x * (x * x + wide * wide), xx * y, x * yy, y * (y * y + high * high)};
     for (int a = 0; a < monomials; ++a) {
-      right[a] += powers[a] * residuals[k].r_jx;
-      right[monomials + a] += powers[a] * residuals[k].r_jy;
+      right[a] += powers[a] * residuals.r_jx[k];
+      right[monomials + a] += powers[a] * residuals.r_jy[k];
       for (int b = 0; b < monomials; ++b) {
         const double share = powers[a] * powers[b];
-        normal[a * p + b] += share * block.jx_dx;
-        normal[a * p + monomials + b] += share * block.jx_dy;
-        normal[(monomials + a) * p + b] += share * block.jy_dx;
-        normal[(monomials + a) * p + monomials + b] += share * block.jy_dy;
+        normal[a * p + b] += share * subset.blocks.jx_dx[k];
+        normal[a * p + monomials + b] += share * subset.blocks.jx_dy[k];
+        normal[(monomials + a) * p + b] += share * subset.blocks.jy_dx[k];
+        normal[(monomials + a) * p + monomials + b] += share * subset.blocks.jy_dy[k];
       }
     }
   }
@@ -120,37 +128,37 @@ inline BlockDisplacement block_displacement(const Subset& subset, int size,
 // that. If more is explained, a quadratic displacement comes first; it says how far an affine fit is off.
 // Next come cubic terms, which a step is mostly made of. What is left is noise that is not white.
 // `strength` is the noise's variance per variance of the residual.
-inline Misfit misfit(const Subset& subset, int size, const Residuals& residuals, double strength,
-                     double max_misfit_px) {
+inline Misfit misfit(const Subset& subset, const BlockShapes& shapes, const BlockResiduals& residuals,
+                     double strength, double max_misfit_px) {
   constexpr double kUnlike = 0.1 /* 1 - ZNCC */, kUneven = 4.0 /* between residual variances */;
   constexpr double kSignificant = 2.0;  // ratio of variances; hardly ever by chance
+  const BlockProducts& sums = subset.blocks;
   Misfit result;
 
+  BlockSum taken, at_rest;  // of a residual's power; its variance in blocks that were moved into place
+  bool clear[kBlocks];      // others say little across their texture
+  for (int k = 0; k < kBlocks; ++k) {
+    const float r_jx = residuals.r_jx[k], r_jy = residuals.r_jy[k], r_r = residuals.r_r[k];
+    const float both = sums.jx_dx[k] * sums.jy_dy[k], determinant = both - sums.jx_dy[k] * sums.jy_dx[k];
+    clear[k] = (sums.jx_dx[k] > 0.0f) & (determinant > 0.05f * both);
+    const float share = (sums.jy_dy[k] * r_jx * r_jx - (sums.jx_dy[k] + sums.jy_dx[k]) * r_jx * r_jy +
+                         sums.jx_dx[k] * r_jy * r_jy) /
+                        determinant;
+    taken[k] = clear[k] ? std::min(std::max(share, 0.0f), r_r) : 0.0f;
+    at_rest[k] = (r_r - taken[k]) / (clear[k] ? shapes.count[k] - 2.0f : shapes.count[k]);
+  }
   std::array<double, 2 * kSide> r_r{}, f_f{}, count{};  // of the strips
-  std::array<double, kBlocks> at_rest{};  // variance of the residual in blocks that were moved into place
   double explained = 0.0, texture = 0.0;
   int free = 0;
   for (int k = 0; k < kBlocks; ++k) {
-    const BlockProducts& block = subset.blocks[k];
-    const BlockResidual& r = residuals.blocks[k];
     for (const int strip : {k / kSide, kSide + k % kSide}) {
-      r_r[strip] += r.r_r;
-      f_f[strip] += block.f_f;
-      count[strip] += block_count(k, size);
+      r_r[strip] += residuals.r_r[k];
+      f_f[strip] += sums.f_f[k];
+      count[strip] += shapes.count[k];
     }
-    const double determinant =
-        static_cast<double>(block.jx_dx) * block.jy_dy - static_cast<double>(block.jx_dy) * block.jy_dx;
-    at_rest[k] = r.r_r / block_count(k, size);
-    if (!(block.jx_dx > 0.0f && determinant > 0.05 * block.jx_dx * block.jy_dy))
-      continue;  // says little across its texture
-    const double share = (block.jy_dy * r.r_jx * r.r_jx - (block.jx_dy + block.jy_dx) * r.r_jx * r.r_jy +
-                          block.jx_dx * r.r_jy * r.r_jy) /
-                         determinant;
-    const double taken = std::min(std::max(share, 0.0), static_cast<double>(r.r_r));
-    at_rest[k] = (r.r_r - taken) / (block_count(k, size) - 2.0);
-    explained += taken;
-    texture += 0.5 * (block.jx_dx + block.jy_dy);
-    free += 2;
+    explained += taken[k];
+    texture += clear[k] ? 0.5 * (sums.jx_dx[k] + sums.jy_dy[k]) : 0.0;
+    free += 2 * clear[k];
   }
   double least = std::numeric_limits<double>::infinity();
   for (int strip = 0; strip < 2 * kSide; ++strip) least = std::min(least, r_r[strip] / count[strip]);
@@ -159,15 +167,15 @@ inline Misfit misfit(const Subset& subset, int size, const Residuals& residuals,
 
   constexpr int kQuadratic = 6, kCubic = 10;  // monomials
   constexpr int kSmallest = 13;               // px; the blocks of smaller subsets tell nothing
-  if (result.torn || free <= 2 * kCubic || size < kSmallest) return result;
+  if (result.torn || free <= 2 * kCubic || shapes.size < kSmallest) return result;
   // Of the blocks, the median: one with something foreign in it cannot be moved into place.
-  std::nth_element(at_rest.begin(), at_rest.begin() + kBlocks / 2, at_rest.end());
+  std::nth_element(at_rest, at_rest + kBlocks / 2, at_rest + kBlocks);
   const double white = strength * at_rest[kBlocks / 2];
   if (!(white > 0.0 && explained > kSignificant * white * free)) return result;
 
-  const BlockDisplacement quadratic = block_displacement(subset, size, residuals.blocks, kQuadratic);
+  const BlockDisplacement quadratic = block_displacement(subset, shapes.size, residuals, kQuadratic);
   const double cubic =
-      block_displacement(subset, size, residuals.blocks, kCubic).explained - quadratic.explained;
+      block_displacement(subset, shapes.size, residuals, kCubic).explained - quadratic.explained;
   const double rest = std::max(explained - quadratic.explained - cubic, 0.0) / (free - 2 * kCubic);
   if (rest > kSignificant * white) result.noise = rest / white;
   const double noise = std::max(rest, white);
@@ -186,20 +194,19 @@ inline Misfit misfit(const Subset& subset, int size, const Residuals& residuals,
 }
 
 // Whether one strip of a subset matches its samples and another does not.
-inline bool is_partly_there(const Subset& subset, int size, const BlockSamples (&samples)[kBlocks]) {
+inline bool is_partly_there(const Subset& subset, const BlockShapes& shapes, const BlockSamples& samples) {
   constexpr double kMatches = 0.8, kDoesNot = 0.5;  // ZNCC of a strip
   double best = -1.0, worst = 1.0;
   for (int strip = 0; strip < 2 * kSide; ++strip) {
     double count = 0, f = 0, g = 0, f_f = 0, g_g = 0, f_g = 0;
     for (int k = 0; k < kSide; ++k) {
       const int at = strip < kSide ? strip * kSide + k : k * kSide + strip - kSide;
-      const BlockProducts& block = subset.blocks[at];
-      count += block_count(at, size);
-      f += block.f;
-      f_f += block.f_f;
-      g += samples[at].g;
-      g_g += samples[at].g_g;
-      f_g += samples[at].f_g;
+      count += shapes.count[at];
+      f += subset.blocks.f[at];
+      f_f += subset.blocks.f_f[at];
+      g += samples.g[at];
+      g_g += samples.g_g[at];
+      f_g += samples.f_g[at];
     }
     const double powers = (f_f - f * f / count) * (g_g - g * g / count);
     const double zncc = powers > 0.0 ? (f_g - f * g / count) / std::sqrt(powers) : 0.0;

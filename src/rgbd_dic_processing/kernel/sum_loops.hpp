@@ -1,6 +1,7 @@
 // Sums over the pixels of a subset, over all of them or block by block. Included only by loops_for_isa.cpp,
 // after simd.hpp.
 #include <cstddef>
+#include <cstring>
 
 #include "loops.hpp"
 
@@ -13,7 +14,7 @@ Moments moments(const Layout& layout, const float* g) {
   for (int column = 0; column < layout.columns; ++column) {
     Floats part{};
     for (int line = 0; line < size; ++line, pixels += kWidth) part += load(pixels);
-    total += part * load(&layout.weight[column * kWidth]);
+    total += inside(layout, column) ? part : Floats{};
   }
   const float mean = sum(total) / static_cast<float>(layout.count());
   pixels = g;
@@ -23,7 +24,7 @@ Moments moments(const Layout& layout, const float* g) {
       const Floats away = load(pixels) - mean;
       part += away * away;
     }
-    power += part * load(&layout.weight[column * kWidth]);
+    power += inside(layout, column) ? part : Floats{};
   }
   return {mean, sum(power)};
 }
@@ -36,33 +37,37 @@ void residual_sums_of(const Layout& layout, const ReferencePixels& reference, fl
   Floats r_r{}, r_f{}, r_1{}, r_x[kMonomials]{}, r_y[kMonomials]{};
   for (int column = 0; column < layout.columns; ++column) {
     const int start = column * kWidth - layout.half;
-    const Floats xi = to_floats(start + lanes), weight = load(&layout.weight[column * kWidth]);
-    Floats x[order + 1]{}, y[order + 1]{};  // times the powers of eta
-    for (int eta = -layout.half; eta <= layout.half; ++eta, g += kWidth) {
+    const Floats xi = to_floats(start + lanes);
+    const Ints within = inside(layout, column);
+    Floats of_r{}, of_f{}, of_1{}, x[order + 1]{}, y[order + 1]{};  // x, y: times the powers of eta
+    Floats q = all_equal(static_cast<float>(-layout.half));
+    for (int eta = -layout.half; eta <= layout.half; ++eta, q += 1.0f, g += kWidth) {
       const std::ptrdiff_t at = eta * reference.stride + start;
       const Floats f = load(reference.f + at) - mean_f;
-      const Floats r = (f - scale * (load(g) - mean_g)) * weight;
-      r_r += r * r;
-      r_f += r * f;
-      r_1 += r;
-      const float q = static_cast<float>(eta);
-      Floats rx = r * load(reference.jx + at), ry = r * load(reference.jy + at);
-      for (int power = 0; power <= order; ++power) {
-        x[power] += rx;
-        y[power] += ry;
-        rx *= q;
-        ry *= q;
+      const Floats r = f - scale * (load(g) - mean_g);
+      of_r += r * r;
+      of_f += r * f;
+      of_1 += r;
+      const Floats jx = load(reference.jx + at), jy = load(reference.jy + at);
+      Floats term = r;
+      for (int power = 0; power <= order; ++power, term *= q) {
+        x[power] += term * jx;
+        y[power] += term * jy;
       }
     }
+    r_r += within ? of_r : Floats{};
+    r_f += within ? of_f : Floats{};
+    r_1 += within ? of_1 : Floats{};
     const auto gather = [&](const Floats(&s)[order + 1], Floats(&r)[kMonomials])
                             __attribute__((always_inline)) {
-                              r[0] += s[0];
-                              r[1] += s[0] * xi;
-                              r[2] += s[1];
+                              const Floats one = within ? s[0] : Floats{}, line = within ? s[1] : Floats{};
+                              r[0] += one;
+                              r[1] += one * xi;
+                              r[2] += line;
                               if constexpr (order == 2) {
-                                r[3] += s[0] * xi * xi;
-                                r[4] += s[1] * xi;
-                                r[5] += s[2];
+                                r[3] += one * xi * xi;
+                                r[4] += line * xi;
+                                r[5] += within ? s[2] : Floats{};
                               }
                             };
     gather(x, r_x);
@@ -83,206 +88,298 @@ void residual_sums(const Layout& layout, const ReferencePixels& reference, float
   function(layout, reference, mean_f, g, mean_g, scale, sums);
 }
 
-// Sums of terms over the blocks. `terms(at, pixel, sums)` adds those of kWidth pixels: `at` is their place in
-// the planes, `pixel` in a Layout.
-template <int count, class Terms>
-RGBD_DIC_INLINE void sum_blocks(const Layout& layout, std::ptrdiff_t stride, float (&blocks)[kBlocks][count],
+// Sums over the blocks of some terms, which come as vectors of sums over a column within a level of blocks.
+template <int count>
+struct BlockSums {
+  Floats parts[kBlocks * count]{};
+
+  RGBD_DIC_INLINE void add(const Layout& layout, int column, int level, const Floats (&sums)[count]) {
+    const Ints pixels = column * kWidth + lane_numbers();
+    for (int k = 0; k < kSide; ++k) {
+      const int first = block_start(k, layout.size()), end = block_start(k + 1, layout.size());
+      if (end <= column * kWidth || first >= (column + 1) * kWidth) continue;
+      const Ints within = (pixels >= first) & (pixels < end);
+      for (int term = 0; term < count; ++term)
+        parts[term * kBlocks + level * kSide + k] += within ? sums[term] : Floats{};
+    }
+  }
+
+  // Into a structure of as many BlockSum.
+  template <class Blocks>
+  RGBD_DIC_INLINE void finish(Blocks& blocks) const {
+    static_assert(kBlocks % kWidth == 0, "so that whole vectors of sums are stored");
+    float values[kBlocks * count];
+    static_assert(sizeof values == sizeof blocks);
+    for (int first = 0; first < kBlocks * count; first += kWidth) {
+      Floats some[kWidth];
+      for (int k = 0; k < kWidth; ++k) some[k] = parts[first + k];
+      store(values + first, sums_of(some));
+    }
+    std::memcpy(&blocks, values, sizeof blocks);
+  }
+};
+
+// The same of all pixels. `terms(at, pixel, sums)` adds those of kWidth pixels: `at` is their place in the
+// planes, `pixel` in a Layout.
+template <int count, class Blocks, class Terms>
+RGBD_DIC_INLINE void sum_blocks(const Layout& layout, std::ptrdiff_t stride, Blocks& blocks,
                                 const Terms& terms) {
   const int size = layout.size();
-  const Ints lanes = lane_numbers();
-  for (auto& block : blocks)
-    for (float& value : block) value = 0.0f;
+  BlockSums<count> parts;
   std::ptrdiff_t pixel = 0;
   for (int column = 0; column < layout.columns; ++column) {
-    const int start = column * kWidth;
+    const int start = column * kWidth - layout.half;
     for (int level = 0; level < kSide; ++level) {
       Floats sums[count]{};
       for (int line = block_start(level, size); line < block_start(level + 1, size); ++line, pixel += kWidth)
-        terms((line - layout.half) * stride + start - layout.half, pixel, sums);
-      for (int k = 0; k < kSide; ++k) {
-        const int first = block_start(k, size), end = block_start(k + 1, size);
-        if (end <= start || first >= start + kWidth) continue;
-        const Ints within = (start + lanes >= first) & (start + lanes < end);
-        for (int term = 0; term < count; ++term)
-          blocks[level * kSide + k][term] += sum(within ? sums[term] : Floats{});
-      }
+        terms((line - layout.half) * stride + start, pixel, sums);
+      parts.add(layout, column, level, sums);
     }
   }
+  parts.finish(blocks);
 }
 
 void block_residuals(const Layout& layout, const ReferencePixels& reference, float mean_f, const float* g,
-                     float mean_g, float scale, BlockResidual (&blocks)[kBlocks]) {
-  float sums[kBlocks][3];
-  sum_blocks(layout, reference.stride, sums,
-             [&](std::ptrdiff_t at, std::ptrdiff_t pixel, Floats(&s)[3]) __attribute__((always_inline)) {
-               const Floats r = load(reference.f + at) - mean_f - scale * (load(g + pixel) - mean_g);
-               s[0] += r * r;
-               s[1] += r * load(reference.jx + at);
-               s[2] += r * load(reference.jy + at);
-             });
-  for (int q = 0; q < kBlocks; ++q) blocks[q] = {sums[q][0], sums[q][1], sums[q][2]};
+                     float mean_g, float scale, BlockResiduals& blocks) {
+  sum_blocks<3>(layout, reference.stride, blocks,
+                [&](std::ptrdiff_t at, std::ptrdiff_t pixel, Floats(&s)[3]) __attribute__((always_inline)) {
+                  const Floats r = load(reference.f + at) - mean_f - scale * (load(g + pixel) - mean_g);
+                  s[0] += r * r;
+                  s[1] += r * load(reference.jx + at);
+                  s[2] += r * load(reference.jy + at);
+                });
 }
 
 void block_samples(const Layout& layout, const ReferencePixels& reference, float mean_f, const float* g,
-                   float mean_g, BlockSamples (&blocks)[kBlocks]) {
-  float sums[kBlocks][3];
-  sum_blocks(layout, reference.stride, sums,
-             [&](std::ptrdiff_t at, std::ptrdiff_t pixel, Floats(&s)[3]) __attribute__((always_inline)) {
-               const Floats away = load(g + pixel) - mean_g;
-               s[0] += away;
-               s[1] += away * away;
-               s[2] += away * (load(reference.f + at) - mean_f);
-             });
-  for (int q = 0; q < kBlocks; ++q) blocks[q] = {sums[q][0], sums[q][1], sums[q][2]};
+                   float mean_g, BlockSamples& blocks) {
+  sum_blocks<3>(layout, reference.stride, blocks,
+                [&](std::ptrdiff_t at, std::ptrdiff_t pixel, Floats(&s)[3]) __attribute__((always_inline)) {
+                  const Floats away = load(g + pixel) - mean_g;
+                  s[0] += away;
+                  s[1] += away * away;
+                  s[2] += away * (load(reference.f + at) - mean_f);
+                });
 }
 
-void block_products(const Layout& layout, const ReferencePixels& reference, float mean_f,
-                    BlockProducts (&blocks)[kBlocks]) {
-  float sums[kBlocks][9];
-  sum_blocks(layout, reference.stride, sums,
-             [&](std::ptrdiff_t at, std::ptrdiff_t, Floats(&s)[9]) __attribute__((always_inline)) {
-               const Floats f = load(reference.f + at) - mean_f;
-               const Floats jx = load(reference.jx + at), jy = load(reference.jy + at);
-               const Floats dx = load(reference.dx + at), dy = load(reference.dy + at);
-               s[0] += f;
-               s[1] += f * f;
-               s[2] += jx * dx;
-               s[3] += jx * dy;
-               s[4] += jy * dx;
-               s[5] += jy * dy;
-               s[6] += dx * dx;
-               s[7] += dx * dy;
-               s[8] += dy * dy;
-             });
-  for (int q = 0; q < kBlocks; ++q) {
-    const auto& s = sums[q];
-    blocks[q] = {s[0], s[1], s[2], s[3], s[4], s[5], s[6], s[7], s[8]};
+// Sums over the lanes of vectors, a few at a time.
+struct LateSums {
+  Floats vectors[kWidth];
+  double* sums[kWidth];
+  int count = 0;
+
+  RGBD_DIC_INLINE void add(Floats vector, double& sum) {
+    vectors[count] = vector;
+    sums[count++] = &sum;
+    if (count == kWidth) finish();
+  }
+
+  RGBD_DIC_INLINE void finish() {
+    float values[kWidth];
+    store(values, sums_of(vectors));
+    for (int k = 0; k < count; ++k) *sums[k] = values[k];
+    count = 0;
+  }
+};
+
+// Which line of column sums is which. Of the products of J and D, jx dx, jx dy, jy dx and jy dy, the sums
+// over each level of blocks come first, then those times eta, eta^2, ...; of J and J, jx jx, jx jy and jy jy,
+// those times 1, eta, ...; of D and D, dx dx, dx dy and dy dy, those over each level; of jx, jy, dx and dy
+// those times 1, eta, ....
+template <int order>
+struct ColumnSums {
+  static constexpr int kPowers = 2 * order;
+  static constexpr int jd(int product) { return product * (kSide + kPowers); }
+  static constexpr int jj(int product) { return jd(4) + product * (kPowers + 1); }
+  static constexpr int dd(int product) { return jj(3) + product * kSide; }
+  static constexpr int single(int gradient) { return dd(3) + gradient * (order + 1); }
+  static_assert(single(4) == column_sum_count(order));
+};
+
+template <int order>
+void column_sums_of(const Layout& layout, const ReferencePixels& reference, std::ptrdiff_t count, float* sums,
+                    std::ptrdiff_t stride) {
+  using Sums = ColumnSums<order>;
+  constexpr int kPowers = Sums::kPowers;
+  const int size = layout.size();
+  for (std::ptrdiff_t start = 0; start < count; start += kWidth) {
+    const auto put = [&](int line, Floats sum)
+                         __attribute__((always_inline)) { store(sums + line * stride + start, sum); };
+    const std::ptrdiff_t first = start - layout.half * reference.stride;
+
+    Floats jd[4][kPowers]{}, q = all_equal(static_cast<float>(-layout.half));
+    std::ptrdiff_t at = first;
+    for (int level = 0; level < kSide; ++level) {
+      Floats jd_level[4]{};
+      for (int k = block_length(level, size); k > 0; --k, at += reference.stride, q += 1.0f) {
+        const Floats jx = load(reference.jx + at), jy = load(reference.jy + at);
+        const Floats dx = load(reference.dx + at), dy = load(reference.dy + at);
+        const Floats products[] = {jx * dx, jx * dy, jy * dx, jy * dy};
+        Floats power = q;
+        for (int p = 0; p < kPowers; ++p, power *= q)
+          for (int i = 0; i < 4; ++i) jd[i][p] += products[i] * power;
+        for (int i = 0; i < 4; ++i) jd_level[i] += products[i];
+      }
+      for (int i = 0; i < 4; ++i) put(Sums::jd(i) + level, jd_level[i]);
+    }
+    for (int i = 0; i < 4; ++i)
+      for (int p = 0; p < kPowers; ++p) put(Sums::jd(i) + kSide + p, jd[i][p]);
+
+    Floats jj[3][kPowers + 1]{};
+    q = all_equal(static_cast<float>(-layout.half));
+    at = first;
+    for (int line = 0; line < size; ++line, at += reference.stride, q += 1.0f) {
+      const Floats jx = load(reference.jx + at), jy = load(reference.jy + at);
+      const Floats products[] = {jx * jx, jx * jy, jy * jy};
+      Floats power = q;
+      for (int i = 0; i < 3; ++i) jj[i][0] += products[i];
+      for (int p = 1; p <= kPowers; ++p, power *= q)
+        for (int i = 0; i < 3; ++i) jj[i][p] += products[i] * power;
+    }
+    for (int i = 0; i < 3; ++i)
+      for (int p = 0; p <= kPowers; ++p) put(Sums::jj(i) + p, jj[i][p]);
+
+    Floats single[4][order + 1]{};
+    q = all_equal(static_cast<float>(-layout.half));
+    at = first;
+    for (int level = 0; level < kSide; ++level) {
+      Floats dd_level[3]{};
+      for (int k = block_length(level, size); k > 0; --k, at += reference.stride, q += 1.0f) {
+        const Floats gradients[] = {load(reference.jx + at), load(reference.jy + at), load(reference.dx + at),
+                                    load(reference.dy + at)};
+        dd_level[0] += gradients[2] * gradients[2];
+        dd_level[1] += gradients[2] * gradients[3];
+        dd_level[2] += gradients[3] * gradients[3];
+        Floats power = q;
+        for (int i = 0; i < 4; ++i) single[i][0] += gradients[i];
+        for (int p = 1; p <= order; ++p, power *= q)
+          for (int i = 0; i < 4; ++i) single[i][p] += gradients[i] * power;
+      }
+      for (int i = 0; i < 3; ++i) put(Sums::dd(i) + level, dd_level[i]);
+    }
+    for (int i = 0; i < 4; ++i)
+      for (int p = 0; p <= order; ++p) put(Sums::single(i) + p, single[i][p]);
   }
 }
 
-// Sums of terms times eta^q xi^p, p + q <= powers, lane by lane: `add` takes the terms of a column of vectors
-// line by line, `end_column` their powers of xi.
+void column_sums(const Layout& layout, const ReferencePixels& reference, int order, std::ptrdiff_t count,
+                 float* sums, std::ptrdiff_t stride) {
+  (order == 1 ? column_sums_of<1> : column_sums_of<2>)(layout, reference, count, sums, stride);
+}
+
+// Sums times eta^q xi^p, p + q <= powers, lane by lane, of columns of vectors.
 template <int powers>
 struct LaneSums {
-  Floats line[powers + 1]{}, total[powers + 1][powers + 1]{};  // by q; by q and p
+  Floats total[powers + 1][powers + 1];  // by q and p
 
-  RGBD_DIC_INLINE void add(Floats term, float eta) {
-    float power = 1.0f;
-    for (int q = 0; q <= powers; ++q, power *= eta) line[q] += term * power;
-  }
-
-  RGBD_DIC_INLINE void end_column(Floats xi, Floats weight) {
+  // `line` has those of a column times the powers of eta.
+  RGBD_DIC_INLINE void add(int column, const Floats (&line)[powers + 1], Floats xi, Ints within) {
     for (int q = 0; q <= powers; ++q) {
-      Floats term = line[q] * weight;
-      line[q] = Floats{};
+      Floats term = within ? line[q] : Floats{};
       for (int p = 0; p + q <= powers; ++p) {
-        total[q][p] += term;
+        total[q][p] = column == 0 ? term : total[q][p] + term;
         term *= xi;
       }
     }
   }
 
   template <int size>
-  RGBD_DIC_INLINE void into(double (&sums)[size][size]) const {
+  RGBD_DIC_INLINE void into(double (*sums)[size], LateSums& late) const {
     for (int q = 0; q <= powers; ++q)
-      for (int p = 0; p + q <= powers; ++p) sums[q][p] = sum(total[q][p]);
+      for (int p = 0; p + q <= powers; ++p) late.add(total[q][p], sums[q][p]);
   }
 };
 
 template <int order>
-void product_sums_of(const Layout& layout, const ReferencePixels& reference, ProductSums& sums) {
-  const Ints lanes = lane_numbers();
-  sums = ProductSums{};
+void product_sums_of(const Layout& layout, const ReferencePixels& reference, const float* columns,
+                     std::ptrdiff_t stride, ProductSums& sums, BlockProducts& blocks) {
+  using Sums = ColumnSums<order>;
+  constexpr int kPowers = Sums::kPowers, kTerms = 9;
+  const int size = layout.size();
   Floats f_total{};
   for (int column = 0; column < layout.columns; ++column) {
-    const int start = column * kWidth - layout.half;
-    Floats f{};
-    for (int eta = -layout.half; eta <= layout.half; ++eta)
-      f += load(reference.f + eta * reference.stride + start);
-    f_total += f * load(&layout.weight[column * kWidth]);
+    const float* f = reference.f + column * kWidth - layout.half - layout.half * reference.stride;
+    Floats even{}, odd{};
+    for (int line = 1; line < size; line += 2, f += 2 * reference.stride) {
+      even += load(f);
+      odd += load(f + reference.stride);
+    }
+    f_total += inside(layout, column) ? even + odd + load(f) : Floats{};
   }
   sums.f = sum(f_total);
   const float mean = static_cast<float>(sums.f / layout.count());
-  LaneSums<2 * order> jx_dx, jx_dy, jy_dx, jy_dy, jx_jx, jx_jy, jy_jy;
-  LaneSums<order> of_jx, of_jy, of_dx, of_dy, jx_f, jy_f, dx_f, dy_f;
-  Floats f_f_total{};
+
+  LaneSums<kPowers> jd[4], jj[3];
+  LaneSums<order> single[4], of_f[4];
+  BlockSums<kTerms> parts;
+  Floats f_f{};
   for (int column = 0; column < layout.columns; ++column) {
     const int start = column * kWidth - layout.half;
-    const Floats xi = to_floats(start + lanes), weight = load(&layout.weight[column * kWidth]);
-    const ReferencePixels middle = {reference.f + start,  reference.jx + start, reference.jy + start,
-                                    reference.dx + start, reference.dy + start, reference.stride};
-    for (int eta = -layout.half; eta <= layout.half; ++eta) {
-      const std::ptrdiff_t at = eta * middle.stride;
-      const float q = static_cast<float>(eta);
-      const Floats jx = load(middle.jx + at), jy = load(middle.jy + at);
-      const Floats dx = load(middle.dx + at), dy = load(middle.dy + at);
-      jx_dx.add(jx * dx, q);
-      jx_dy.add(jx * dy, q);
-      jy_dx.add(jy * dx, q);
-      jy_dy.add(jy * dy, q);
+    const Floats xi = to_floats(start + lane_numbers());
+    const Ints within = inside(layout, column);
+    const auto at_line = [&](int line) __attribute__((always_inline)) {
+      return load(columns + line * stride + column * kWidth);
+    };
+    Floats terms[kSide][kTerms], line[kPowers + 1];
+    for (int i = 0; i < 4; ++i) {
+      line[0] = Floats{};
+      for (int level = 0; level < kSide; ++level) {
+        terms[level][2 + i] = at_line(Sums::jd(i) + level);
+        line[0] += terms[level][2 + i];
+      }
+      for (int p = 1; p <= kPowers; ++p) line[p] = at_line(Sums::jd(i) + kSide + p - 1);
+      jd[i].add(column, line, xi, within);
     }
-    jx_dx.end_column(xi, weight);
-    jx_dy.end_column(xi, weight);
-    jy_dx.end_column(xi, weight);
-    jy_dy.end_column(xi, weight);
-    for (int eta = -layout.half; eta <= layout.half; ++eta) {
-      const std::ptrdiff_t at = eta * middle.stride;
-      const float q = static_cast<float>(eta);
-      const Floats jx = load(middle.jx + at), jy = load(middle.jy + at);
-      jx_jx.add(jx * jx, q);
-      jx_jy.add(jx * jy, q);
-      jy_jy.add(jy * jy, q);
+    for (int i = 0; i < 3; ++i) {
+      for (int p = 0; p <= kPowers; ++p) line[p] = at_line(Sums::jj(i) + p);
+      jj[i].add(column, line, xi, within);
+      for (int level = 0; level < kSide; ++level) terms[level][6 + i] = at_line(Sums::dd(i) + level);
     }
-    jx_jx.end_column(xi, weight);
-    jx_jy.end_column(xi, weight);
-    jy_jy.end_column(xi, weight);
-    Floats f_f{};
-    for (int eta = -layout.half; eta <= layout.half; ++eta) {
-      const std::ptrdiff_t at = eta * middle.stride;
-      const float q = static_cast<float>(eta);
-      const Floats f = load(middle.f + at) - mean;
-      const Floats jx = load(middle.jx + at), jy = load(middle.jy + at);
-      const Floats dx = load(middle.dx + at), dy = load(middle.dy + at);
-      f_f += f * f;
-      of_jx.add(jx, q);
-      of_jy.add(jy, q);
-      of_dx.add(dx, q);
-      of_dy.add(dy, q);
-      jx_f.add(jx * f, q);
-      jy_f.add(jy * f, q);
-      dx_f.add(dx * f, q);
-      dy_f.add(dy * f, q);
+
+    Floats with_f[4][order + 1]{}, q = all_equal(static_cast<float>(-layout.half));
+    std::ptrdiff_t at = start - layout.half * reference.stride;
+    for (int level = 0; level < kSide; ++level) {
+      Floats f_level{}, f_f_level{};
+      for (int k = block_length(level, size); k > 0; --k, at += reference.stride, q += 1.0f) {
+        const Floats f = load(reference.f + at) - mean;
+        f_level += f;
+        f_f_level += f * f;
+        const Floats products[] = {load(reference.jx + at) * f, load(reference.jy + at) * f,
+                                   load(reference.dx + at) * f, load(reference.dy + at) * f};
+        Floats power = q;
+        for (int i = 0; i < 4; ++i) with_f[i][0] += products[i];
+        for (int p = 1; p <= order; ++p, power *= q)
+          for (int i = 0; i < 4; ++i) with_f[i][p] += products[i] * power;
+      }
+      terms[level][0] = f_level;
+      terms[level][1] = f_f_level;
+      f_f += within ? f_f_level : Floats{};
+      parts.add(layout, column, level, terms[level]);
     }
-    f_f_total += f_f * weight;
-    of_jx.end_column(xi, weight);
-    of_jy.end_column(xi, weight);
-    of_dx.end_column(xi, weight);
-    of_dy.end_column(xi, weight);
-    jx_f.end_column(xi, weight);
-    jy_f.end_column(xi, weight);
-    dx_f.end_column(xi, weight);
-    dy_f.end_column(xi, weight);
+    for (int i = 0; i < 4; ++i) {
+      of_f[i].add(column, with_f[i], xi, within);
+      Floats alone[order + 1];
+      for (int p = 0; p <= order; ++p) alone[p] = at_line(Sums::single(i) + p);
+      single[i].add(column, alone, xi, within);
+    }
   }
-  sums.f_f = sum(f_f_total);
-  jx_dx.into(sums.jx_dx);
-  jx_dy.into(sums.jx_dy);
-  jy_dx.into(sums.jy_dx);
-  jy_dy.into(sums.jy_dy);
-  jx_jx.into(sums.jx_jx);
-  jx_jy.into(sums.jx_jy);
-  jy_jy.into(sums.jy_jy);
-  of_jx.into(sums.jx);
-  of_jy.into(sums.jy);
-  of_dx.into(sums.dx);
-  of_dy.into(sums.dy);
-  jx_f.into(sums.jx_f);
-  jy_f.into(sums.jy_f);
-  dx_f.into(sums.dx_f);
-  dy_f.into(sums.dy_f);
+
+  parts.finish(blocks);
+  LateSums late;
+  late.add(f_f, sums.f_f);
+  double (*const to_jd[])[5] = {sums.jx_dx, sums.jx_dy, sums.jy_dx, sums.jy_dy};
+  double (*const to_jj[])[5] = {sums.jx_jx, sums.jx_jy, sums.jy_jy};
+  double (*const to_single[])[3] = {sums.jx, sums.jy, sums.dx, sums.dy};
+  double (*const to_f[])[3] = {sums.jx_f, sums.jy_f, sums.dx_f, sums.dy_f};
+  for (int i = 0; i < 4; ++i) jd[i].into(to_jd[i], late);
+  for (int i = 0; i < 3; ++i) jj[i].into(to_jj[i], late);
+  for (int i = 0; i < 4; ++i) single[i].into(to_single[i], late);
+  for (int i = 0; i < 4; ++i) of_f[i].into(to_f[i], late);
+  late.finish();
 }
 
-void product_sums(const Layout& layout, const ReferencePixels& reference, int order, ProductSums& sums) {
-  (order == 1 ? product_sums_of<1> : product_sums_of<2>)(layout, reference, sums);
+void product_sums(const Layout& layout, const ReferencePixels& reference, int order, const float* columns,
+                  std::ptrdiff_t stride, ProductSums& sums, BlockProducts& blocks) {
+  (order == 1 ? product_sums_of<1> : product_sums_of<2>)(layout, reference, columns, stride, sums, blocks);
 }
 
 }  // namespace rgbd_dic::RGBD_DIC_ISA
