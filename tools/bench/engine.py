@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from rgbd_dic_acquisition.calibration import Camera
 from rgbd_dic_processing.core.correlation import Correlation, CorrelationSettings, ReferenceSubsets
-from rgbd_dic_processing.core.geometry import SeedMaps
 from rgbd_dic_processing.core.regions import Regions
+from rgbd_dic_processing.core.seed_maps import SeedMaps
 from rgbd_dic_processing.core.settings import SearchSettings
 from rgbd_dic_processing.core.tracking import SubsetField, SubsetTracking
 from speckle import SIZE

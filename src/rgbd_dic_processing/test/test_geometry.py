@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from rgbd_dic_acquisition.calibration import Camera
 from rgbd_dic_processing.core import geometry
-from rgbd_dic_processing.core.geometry import Plane, SeedMaps, apply_homography, plane_homography
+from rgbd_dic_processing.core.geometry import Plane, apply_homography, plane_homography
 from rgbd_dic_processing.core.homography import fit_homography
 from rgbd_dic_processing.core.realignment import realign_to_axis, realign_to_principal_axes
+from rgbd_dic_processing.core.seed_maps import SeedMaps
 from scipy.spatial.transform import Rotation
 
 CAMERA = Camera(640, 480, 800.0, 815.0, 310.0, 250.0, -0.2, 0.06)

@@ -15,10 +15,11 @@ from rgbd_dic_acquisition.simulator.motion import HandheldMotion, MotionSettings
 from rgbd_dic_processing.core.coarse import CoarseSearch
 from rgbd_dic_processing.core.correlation import CorrelationSettings
 from rgbd_dic_processing.core.features import FeatureMatcher
-from rgbd_dic_processing.core.geometry import SeedMaps, apply_homography
+from rgbd_dic_processing.core.geometry import apply_homography
 from rgbd_dic_processing.core.prediction import Prediction
 from rgbd_dic_processing.core.regions import Regions
 from rgbd_dic_processing.core.search import SeedSource
+from rgbd_dic_processing.core.seed_maps import SeedMaps
 from rgbd_dic_processing.core.settings import SearchSettings
 from rgbd_dic_processing.core.status import FrameStatus
 from rgbd_dic_processing.core.subset_grid import SubsetGrid

@@ -122,38 +122,3 @@ def skew(vectors: Array) -> Array:
         np.stack([-a[..., 1], a[..., 0], zero], axis=-1),
     ]
     return np.stack(rows, axis=-2)
-
-
-class SeedMaps:
-    """Second-order maps of each subset under distortion o homography o undistortion, for the DIC kernel.
-
-    A first-order subset under perspective carries a second-order bias; so the kernel warps each subset by this map
-    composed with the affine increment it solves for. The coefficients come from central differences over the
-    subset's own extent (a 3 x 3 stencil), in the basis [1, xi, eta, xi^2, xi eta, eta^2] of offsets from the centre.
-    """
-
-    def __init__(self, camera: Camera, centres_px: Array, reach_px: float):
-        self._camera = camera
-        self._reach = reach_px
-        offsets = np.array([(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1), (1, -1), (-1, 1)], float)
-        stencil = np.asarray(centres_px, float)[None] + reach_px * offsets[:, None]
-        ideal = camera.undistort(stencil.reshape(-1, 2)).reshape(9, -1, 2)
-        self._ideal = np.ascontiguousarray(np.moveaxis(ideal, 2, 0))
-
-    def seeds(self, H: Array, chosen: NDArray[np.intp] | slice = slice(None)) -> Array:
-        """(N, 2, 6) for the homography H (3, 3), reference -> image in ideal pixels; or those of the chosen subsets."""
-        x, y = self._ideal[:, :, chosen]
-        u, v, w = (row[0] * x + row[1] * y + row[2] for row in H)
-        w = np.where(w > 0, w, np.nan)
-        moved = self._camera.distort(np.stack([u / w, v / w]).reshape(2, -1).T).T.reshape(2, 9, -1)
-        centre, right, left, down, up, right_down, left_up, right_up, left_down = np.moveaxis(moved, 1, 0)
-        h = self._reach
-        coefficients = (
-            centre,
-            (right - left) / (2 * h),
-            (down - up) / (2 * h),
-            (right - 2 * centre + left) / (2 * h * h),
-            (right_down + left_up - right_up - left_down) / (4 * h * h),
-            (down - 2 * centre + up) / (2 * h * h),
-        )
-        return np.stack(coefficients).transpose(2, 1, 0).copy()

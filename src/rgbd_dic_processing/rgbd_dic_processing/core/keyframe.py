@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from rgbd_dic_acquisition.calibration import Camera
 
 from .correlation import Correlation, CorrelationSettings, ReferenceSubsets
-from .geometry import SeedMaps
 from .search import Guess, SeedSource, SubsetSearch
+from .seed_maps import SeedMaps
 from .settings import SearchSettings
 
 Array = NDArray[np.float64]
@@ -53,6 +53,8 @@ class Chain:
             jacobian: (M, 2, 2), keyframe -> image.
             sigma_px: (M, 2), standard uncertainty of the link from the keyframe to the image.
         """
+        if not (self.variance_px2.any() or self.link_px.any()):  # there is no link but the one to the image
+            return sigma_px
         squared = jacobian**2
         carried = np.einsum("mij,mj->mi", squared, self.variance_px2)
         last = np.sqrt(np.einsum("mij,mj->mi", squared, self.link_px**2))
@@ -111,7 +113,7 @@ class Keyframe:
         search = SubsetSearch(
             self._image, self._subsets, self._maps, self._camera, self._search_settings, self.textured
         )
-        search.remember(self.stamp_ns, self._start, self._itself)
+        search.start(self.stamp_ns)
         return search
 
     @property

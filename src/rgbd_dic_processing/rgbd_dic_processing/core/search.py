@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -14,8 +15,9 @@ from rgbd_dic_acquisition.calibration import Camera
 from .coarse import CoarseSearch
 from .correlation import Correlation, ReferenceSubsets, SubsetStatus, Target
 from .features import FeatureMatcher
-from .geometry import SeedMaps, apply_homography
+from .geometry import apply_homography
 from .prediction import Prediction
+from .seed_maps import SeedMaps
 from .settings import SearchSettings
 from .subset_grid import SubsetGrid
 
@@ -71,13 +73,34 @@ class SubsetSearch:
         usable = np.flatnonzero(textured)
         self._probes = usable[_spread(self._centres[usable], settings.probes)]
         self._fitted = usable[_spread(self._centres[usable], FITTED)]
-        inside = (self._centres >= 0) & (self._centres <= (camera.width - 1, camera.height - 1))
-        self._inside = inside.all(axis=1)  # a subset that left the reference is never found
-        self._grid = SubsetGrid(np.where(self._inside[:, None], self._centres, np.nan), subsets.settings.step)
-        self._coarse = CoarseSearch(image, self._centres[usable], subsets.settings.subset_size)
-        self._features = FeatureMatcher(image, self._centres[usable], settings.features)
+        self._image, self._usable = image, usable
         self._prediction = Prediction()
         self._offsets = np.zeros_like(self._centres)
+
+    # What is not needed while the panel is followed is made when it is first asked for.
+
+    @cached_property
+    def _inside(self) -> NDArray[np.bool_]:
+        """Which subsets are centred in the reference; one that left it is never found."""
+        last = self._camera.width - 1, self._camera.height - 1
+        return ((self._centres >= 0) & (self._centres <= last)).all(axis=1)
+
+    @cached_property
+    def _grid(self) -> SubsetGrid:
+        centres = np.where(self._inside[:, None], self._centres, np.nan)
+        return SubsetGrid(centres, self._subsets.settings.step)
+
+    @cached_property
+    def _coarse(self) -> CoarseSearch:
+        return CoarseSearch(self._image, self._centres[self._usable], self._subsets.settings.subset_size)
+
+    @cached_property
+    def _features(self) -> FeatureMatcher:
+        return FeatureMatcher(self._image, self._centres[self._usable], self._settings.features)
+
+    def start(self, stamp_ns: int) -> None:
+        """Begin with the reference itself, in which nothing has moved."""
+        self._prediction.add(stamp_ns, np.eye(3))
 
     def find(self, stamp_ns: int, image: NDArray[np.uint8], target: Target) -> tuple[Guess | None, SeedSource]:
         """The guess for an image and where it came from; None if the panel was not found."""
@@ -93,9 +116,11 @@ class SubsetSearch:
 
     def seeds(self, guess: Guess, chosen: NDArray[np.intp] | slice = slice(None)) -> Array:
         """The seed maps (N, 2, 6) of a guess; only those of the chosen subsets are filled in."""
+        maps = self._maps.seeds(guess.homography, chosen, guess.offsets_px)
+        if isinstance(chosen, slice):
+            return maps
         seeds = np.zeros((len(self._centres), 2, 6))
-        seeds[chosen] = self._maps.seeds(guess.homography, chosen)
-        seeds[chosen, :, 0] += guess.offsets_px[chosen]
+        seeds[chosen] = maps
         return seeds
 
     def complete(self, image: NDArray[np.uint8], target: Target, guess: Guess, moved: Correlation) -> Correlation:
@@ -234,13 +259,15 @@ def _positions(moved: Correlation) -> Array:
 
 def _spread(centres_px: Array, count: int) -> NDArray[np.intp]:
     """Indices of about `count` subsets spread evenly over the grid: the one nearest to the middle of each cell."""
-    low, extent = centres_px.min(axis=0), np.maximum(np.ptp(centres_px, axis=0), 1)
-    columns = max(round(float(np.sqrt(count * extent[0] / extent[1]))), 1)
-    cells = np.array([columns, max(round(count / columns), 1)])
-    cell = np.minimum(((centres_px - low) / extent * cells).astype(int), cells - 1)
-    middle = np.sum(np.square((centres_px - low) / extent * cells - cell - 0.5), axis=1)
-    number = cell[:, 0] + columns * cell[:, 1]
-    least = np.full(cells.prod(), np.inf)
+    x, y = (values - values.min() for values in centres_px.T.copy())
+    width, height = max(x.max(), 1), max(y.max(), 1)
+    columns = max(round(float(np.sqrt(count * width / height))), 1)
+    rows = max(round(count / columns), 1)
+    x, y = x / width * columns, y / height * rows
+    column, row = np.minimum(x.astype(int), columns - 1), np.minimum(y.astype(int), rows - 1)
+    middle = (x - column - 0.5) ** 2 + (y - row - 0.5) ** 2
+    number = column + columns * row
+    least = np.full(columns * rows, np.inf)
     np.minimum.at(least, number, middle)
     nearest = np.flatnonzero(middle == least[number])
     _, first = np.unique(number[nearest], return_index=True)

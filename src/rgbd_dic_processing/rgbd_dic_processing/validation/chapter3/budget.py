@@ -18,7 +18,8 @@ from rgbd_dic_acquisition.simulator.sensors import CameraModel, CameraSettings
 from scipy import fft
 
 from ...core.correlation import ReferenceSubsets
-from ...core.geometry import SeedMaps, plane_homography
+from ...core.geometry import plane_homography
+from ...core.seed_maps import SeedMaps
 from .measuring import exact_plane, footprint_m, project, true_px
 from .rendering import exposed, scene_of
 from .shots import PATTERNS, REFERENCES, Shot, all_shots

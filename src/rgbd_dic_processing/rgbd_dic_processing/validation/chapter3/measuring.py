@@ -14,11 +14,12 @@ from ...core.correlation import CorrelationSettings, ReferenceSubsets
 from ...core.crack import CrackMeasurement, CrackOpening
 from ...core.displacement import DisplacementMeasurement
 from ...core.displacement_field import DisplacementField
-from ...core.geometry import Plane, SeedMaps, apply_homography
+from ...core.geometry import Plane, apply_homography
 from ...core.homography import fit_homography
 from ...core.pairing import FramePair
 from ...core.plane import PlaneEstimate
 from ...core.regions import CrackZones, Regions
+from ...core.seed_maps import SeedMaps
 from ...core.settings import CompensationSettings, CrackSettings, RenewalSettings, SearchSettings
 from ...core.status import FrameStatus
 from ...core.subset_field import Reference, SubsetField
