@@ -159,16 +159,17 @@ bool sample(const Layout& layout, const SplinePixels& target, const LocalWarp& w
     const float xi = static_cast<float>(begin), length = static_cast<float>(end - begin - 1);
     for (int top = -layout.half; top <= layout.half; top += kWidth) {
       const Floats eta = to_floats(top + lanes);
+      // `step`: what a pixel further adds of itself.
       const auto along = [&](const float (&w)[kMaxMonomials], Ints begins, float step, float low,
                              float high) __attribute__((always_inline)) {
         const Floats slope = w[1] + eta * w[4];
         return LinesAlong(begins, (w[0] + eta * (w[2] + eta * w[5])) + xi * (slope + xi * w[3]),
                           slope + (2.0f * xi * w[3] + step), w[3], length, low, high);
       };
-      const LinesAlong x = along(warp.x, Ints{} + begin, 1.0f, target.low_x, target.high_x),
-                       y = along(warp.y, top + lanes, 0.0f, target.low_y, target.high_y),
-                       // x less the pixels gone
-          ahead = along(warp.x, Ints{} + begin, 0.0f, target.low_x - length, target.high_x);
+      const LinesAlong x = along(warp.x, Ints{} + begin, 1.0f, target.low_x, target.high_x);
+      const LinesAlong y = along(warp.y, top + lanes, 0.0f, target.low_y, target.high_y);
+      // x less the pixels gone:
+      const LinesAlong ahead = along(warp.x, Ints{} + begin, 0.0f, target.low_x - length, target.high_x);
       const int lines = top + kWidth <= layout.half ? kWidth : layout.half - top + 1;
       for (int line = 0; line < lines; ++line, g += kWidth) {
         if (!far_inside) {  // NaN, which a polynomial that overflows gives, is not inside either
