@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import socket
+import threading
+from collections.abc import Iterator
 from pathlib import Path
 
+import aiohttp
+import cv2
 import numpy as np
 import pytest
 import yaml
@@ -17,7 +22,10 @@ from rgbd_dic_acquisition.messages import stamp_to_ns
 from rgbd_dic_processing.core.carried_regions import carried_regions
 from rgbd_dic_processing.core.regions_file import load_regions
 from rgbd_dic_processing.nodes.messages import crack_opening_from_message, subset_field_from_message
+from rgbd_dic_processing.pages.live_state import Picture
 from rgbd_dic_processing.results import read_truth
+from served_page import START_NS, Served, opening, portion
+from slow_link import SlowLink
 from system import SAMPLE
 
 pytestmark = [needs_chromium, pytest.mark.timeout(200)]
@@ -109,6 +117,31 @@ def test_the_page_shows_what_is_published_and_its_buttons_act(tmp_path: Path) ->
         np.testing.assert_allclose(outlines[stamp]["left"], of_field["left"], atol=0.051)  # sent with one decimal
 
 
+def test_who_looks_late_sees_the_whole_flight(tmp_path: Path) -> None:
+    """Nobody looks at the first half; what is then told begins with the first image, and is what was published."""
+    run, port = tmp_path / "run", free_port()
+    samples: dict[int, float] = {}
+
+    async def look() -> None:
+        address, told = f"http://127.0.0.1:{port}/live/numbers", []
+        async with aiohttp.ClientSession() as session, session.ws_connect(address) as viewer:
+            while len(told) < 70:
+                content = await portion(viewer)
+                told = content["samples"] if content["from_start"] else told + content["samples"]
+        samples.update({round(time_s * 1e9): opening_mm for time_s, opening_mm, _ in told})
+
+    options = ("--rate", 0.2, "--page", port, "--domain", 85, "--out", run)
+    with serving("up", SAMPLE, *options, says=r" [4-9]\d/120"):
+        asyncio.run(asyncio.wait_for(look(), 60))
+    openings = published(run)
+    start = min(openings)
+    true_mm = {round((stamp - start) * 1e-9, 4): o.opening_m * 1e3 for stamp, o in openings.items()}
+    told_mm = {round(time * 1e-9, 4): value for time, value in samples.items()}
+    assert min(told_mm) == 0.0
+    both = set(told_mm) & set(true_mm)
+    assert len(both) > 60 and all(told_mm[time_s] == pytest.approx(true_mm[time_s], abs=1e-6) for time_s in both)
+
+
 def test_regions_of_a_running_graph_are_set_from_the_page(tmp_path: Path) -> None:
     """Other zones, half as long, while the bag plays: from then on they are measured, from the image they lie on.
 
@@ -160,3 +193,80 @@ def test_a_token_lets_a_browser_in_from_elsewhere(tmp_path: Path) -> None:
         page.goto(here)
         expect(page.locator("#verdict")).to_have_class("fine")
         assert "token" not in page.url and token not in page.content()
+
+
+@pytest.fixture
+def served() -> Iterator[Served]:
+    server = Served(most_viewers=1)
+    yield server
+    server.thread.close()
+
+
+def test_a_slow_link_makes_the_picture_coarse_and_the_opening_goes_on(served: Served) -> None:
+    """Some 60 KB of speckle four times a second, and 60 openings, on 20 KB/s; then on a fast link."""
+    speckle = cv2.GaussianBlur(np.random.default_rng(1).integers(0, 256, (600, 800), np.uint8), (0, 0), 2.0)
+    speckle = cv2.normalize(speckle, None, 0, 255, cv2.NORM_MINMAX)
+    ended = threading.Event()
+
+    def feed() -> None:
+        number = 0
+        while not ended.wait(1 / 60):
+            number += 1
+            served.state.add_opening(opening(number / 60, 1e-6 * number))
+            if number % 15 == 0:
+                served.state.set_picture(Picture(number, START_NS, 1440, 1080, speckle, 60, {}, ""))
+
+    thread = threading.Thread(target=feed)
+    thread.start()
+    link = SlowLink(served.port, 20_000)
+    try:
+        with chromium_page(LAPTOP) as page:
+            page.goto(f"http://127.0.0.1:{link.port}/live", timeout=60_000)
+            expect(page.locator("#picture")).to_have_attribute("data-pixels", "200", timeout=60_000)
+            expect(page.locator("#picture-note")).to_contain_text("link is slow")
+            shown = set()
+            while len(shown) < 10:  # else the test is timed out
+                shown.add(page.locator("#opening").get_attribute("data-stamp"))
+                page.wait_for_timeout(100)
+            link.bytes_per_s = 1e8
+            expect(page.locator("#picture")).to_have_attribute("data-pixels", "800", timeout=60_000)
+            expect(page.locator("#picture-note")).to_be_empty()
+    finally:
+        ended.set()
+        thread.join()
+        link.close()
+
+
+def test_what_is_wrong_is_said_at_the_top(served: Served) -> None:
+    """A sensor that is not heard, one that warns, and what was lost, summed over the topics of the recorder."""
+    well = {"level": "ok", "message": "OK", "counters": {}, "topics": []}
+    counters = {"recorded /a": "9", "dropped /a": "2", "dropped /b": "1", "missed /b": "4", "recording": "on"}
+    counters |= {"rate [MB/s]": "93.0", "time left [s]": "660"}
+    served.state.add_opening(opening(0.0, 1e-3))
+    served.state.add_opening(opening(1.0, float("nan")))
+    ended = threading.Event()
+
+    def feed() -> None:
+        while not ended.wait(0.2):
+            served.state.set_node("recorder_node", {**well, "counters": counters})
+            served.state.set_node("camera_node", {**well, "level": "warn", "message": "2 frames lost"})
+
+    served.state.set_node("tof_node", well)
+    thread = threading.Thread(target=feed)
+    thread.start()
+    try:
+        with chromium_page(LAPTOP) as page:
+            page.goto(f"{served.address}live")
+            expect(page.locator("#health")).to_contain_text("camera_node: warning")
+            expect(page.locator("#health")).to_contain_text("tof_node: silent", timeout=10_000)
+            row = page.locator("#nodes tr", has_text="recorder_node")
+            expect(row).to_contain_text("3 dropped, 4 missed")
+            expect(row).to_contain_text("93.0 MB/s, room for 11 min")
+            expect(page.locator("#reason")).to_contain_text("the reference pattern was not found")
+            expect(page.locator("#facts")).to_contain_text("50.0 %")
+            second = page.context.browser.new_page()
+            second.goto(f"{served.address}live")
+            expect(second.locator("#link")).to_contain_text("viewers look already")
+    finally:
+        ended.set()
+        thread.join()

@@ -3,7 +3,8 @@
     tools/run python tools/bench/page_cost.py
 
 A process publishes what a graph with the real camera does: 60 images of 1440 x 1080 a second, each with a subset field
-of 12,000 subsets and an opening. Viewers are a client that does what the page does. Prints a table in Markdown.
+of 12,000 subsets and an opening. Viewers are a client that does what the page does. Writes the table into
+docs/operator.md.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import asyncio
 import multiprocessing
 import os
 import socket
+import statistics
 import subprocess
 import sys
 import time
@@ -21,10 +23,12 @@ from pathlib import Path
 import aiohttp
 import numpy as np
 
-sys.path.append(str(Path(__file__).parents[1]))
-from process_cost import processor_s
+ROOT = Path(__file__).parents[2]
+sys.path += [str(ROOT / "tools"), str(ROOT / "tools" / "docs"), str(ROOT / "test")]
+from process_cost import processor_s  # noqa: E402
 
 WIDTH, HEIGHT, RATE_HZ, SUBSETS, PORT = 1440, 1080, 60.0, 12_000, 8497
+SLOW_LINK = 20_000  # bytes a second
 REGIONS = """panel: [[100, 100], [1340, 100], [1340, 980], [100, 980]]
 fixed: [[[100, 100], [600, 100], [600, 980], [100, 980]]]
 crack: {point: [720, 540], direction: [0, 1], size: [200, 400], gap: 40}
@@ -89,25 +93,46 @@ def publish() -> None:
         time.sleep(max(0.0, next_s - time.monotonic()))
 
 
-def view(pause_s: float, taken: multiprocessing.Value) -> None:
-    """A viewer that rests so long between two pictures; counts them."""
+class Seen:
+    """What a viewer has seen so far: pictures, how late the newest opening of each portion was [s], and how often the
+    last picture was halved."""
+
+    def __init__(self) -> None:
+        self.pictures = multiprocessing.Value("i", 0)
+        self.late_s = multiprocessing.Array("d", [0.0, 0.0])  # median, longest
+        self.coarse = multiprocessing.Value("i", 0)
+
+
+def view(bytes_per_s: float | None, seen: Seen) -> None:
+    """A viewer, on a link of so many bytes a second if it is said."""
+    from slow_link import SlowLink
+
+    port = SlowLink(PORT, bytes_per_s).port if bytes_per_s else PORT
+    late_s: list[float] = []
 
     async def pictures(session: aiohttp.ClientSession) -> None:
         number = -1
         while True:
-            async with session.get(f"http://127.0.0.1:{PORT}/live/picture?after={number}") as answer:
+            query = f"after={number}&coarse={seen.coarse.value}"
+            async with session.get(f"http://127.0.0.1:{port}/live/picture?{query}") as answer:
+                begun = time.monotonic()
                 body = await answer.read()
             if answer.status == 200:
                 number = int(body.split(b":", 1)[1].split(b",", 1)[0])
-                taken.value += 1
-            await asyncio.sleep(pause_s)
+                seen.pictures.value += 1
+                took = time.monotonic() - begun
+                seen.coarse.value = min(max(seen.coarse.value + (took > 0.5) - (took < 0.1), 0), 2)
 
     async def look() -> None:
         async with aiohttp.ClientSession() as session:
             fetching = asyncio.create_task(pictures(session))
-            async with session.ws_connect(f"http://127.0.0.1:{PORT}/live/numbers") as numbers:
-                async for _ in numbers:
-                    pass
+            async with session.ws_connect(f"http://127.0.0.1:{port}/live/numbers") as numbers:
+                while True:
+                    last = (await numbers.receive_json()).get("last")
+                    await numbers.send_str("")
+                    if last:
+                        late_s.append(time.time() - int(last["stamp_ns"]) * 1e-9)
+                        seen.late_s[:] = statistics.median(late_s), max(late_s)
             fetching.cancel()
 
     asyncio.run(look())
@@ -137,6 +162,7 @@ def main() -> int:
         return 0
     environment = {name: value for name, value in os.environ.items() if name != "_ROS_WHEELS_BOOTSTRAP_COMPLETE"}
     from ament_index_python.packages import get_package_prefix
+    from blocks import replace_block, table
 
     node = Path(get_package_prefix("rgbd_dic_processing"), "lib", "rgbd_dic_processing", "operator_node")
     graph = subprocess.Popen([sys.executable, __file__, "--publish", "--domain", str(options.domain)], env=environment)
@@ -154,33 +180,41 @@ def main() -> int:
         env=environment,
     )
     viewers: list[multiprocessing.Process] = []
+    rows = []
     try:
         wait_for_page()
-        print("| viewers | operator_node [% of a core] | publisher [% of a core] | pictures [1/s] |\n|---|---|---|---|")
-        for words, pauses in (
+        for words, links in (
             ("none", []),
-            ("one", [0.0]),
-            ("one on a slow link, 2 s a picture", [2.0]),
-            ("four", [0.0] * 4),
+            ("one", [None]),
+            (f"one on a link of {SLOW_LINK // 1000} KB/s", [SLOW_LINK]),
+            ("four", [None] * 4),
             ("none again", []),
         ):
-            taken = multiprocessing.Value("i", 0)
-            viewers = [multiprocessing.Process(target=view, args=(pause, taken)) for pause in pauses]
+            seen = Seen()
+            viewers = [multiprocessing.Process(target=view, args=(link, seen)) for link in links]
             for viewer in viewers:
                 viewer.start()
             time.sleep(5.0)
-            before, pictures, start = [processor_s(p.pid) for p in (page, graph)], taken.value, time.monotonic()
+            before, pictures, start = [processor_s(p.pid) for p in (page, graph)], seen.pictures.value, time.monotonic()
             time.sleep(options.seconds)
             took = time.monotonic() - start
             used = [100 * (processor_s(p.pid) - b) / took for p, b in zip((page, graph), before, strict=True)]
-            rate = (taken.value - pictures) / took / max(len(pauses), 1)
-            print(f"| {words} | {used[0]:.1f} | {used[1]:.1f} | {rate:.1f} |", flush=True)
+            row = [words, *(f"{share:.1f}" for share in used)]
+            if links:
+                rate = (seen.pictures.value - pictures) / took / len(links)
+                row += [f"{rate:.1f}", f"{800 >> seen.coarse.value}", "{:.2f}, {:.2f}".format(*seen.late_s)]
+            rows.append(row + ["–"] * (6 - len(row)))
+            print(*rows[-1], sep=" | ", flush=True)
             for viewer in viewers:
                 viewer.terminate()
                 viewer.join()
     finally:
         for process in (page, graph, *viewers):
             process.terminate()
+    header = ("viewers", "`operator_node`", "publisher of all that", "pictures each [1/s]", "their width [px]")
+    content = table((*header, "opening late by, median and longest [s]"), rows)
+    document = ROOT / "docs/operator.md"
+    document.write_text(replace_block(document.read_text(), "cost", content))
     return 0
 
 

@@ -31,6 +31,7 @@ SERVICES = {
     "~/set_reference": "takes the next good image as the new reference, from which displacements count anew",
     "~/renew_keyframe": "follows the subsets from the next good image on; displacements count from where they did",
     "~/set_regions": "measures by other regions from now on; the image that they are drawn on becomes the reference",
+    "~/history": "all openings since the node began, for a viewer that comes late",
     "~/record": "stops writing, or starts again; latched topics are written in any case",
 }
 OPTIONAL = {"tof_node": {"/tf_static": ("tf2_msgs/TFMessage", "reliable, latched")}}  # needs tf2_msgs, not always there

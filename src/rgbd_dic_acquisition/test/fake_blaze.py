@@ -72,10 +72,11 @@ FAULTS: dict[str, tuple[int, str, Any]] = {
 
 
 @functools.cache
-def producer() -> Path:
-    """The compiled producer."""
+def producer(camera: Path | None = None) -> Path:
+    """The compiled producer; it finds the camera of this folder where the environment names none."""
     path = Path(tempfile.mkdtemp(prefix="fake_blaze_")) / "fake_blaze.cti"
     flags = ["-std=c++17", "-O1", "-Wall", "-fPIC", "-shared", "-pthread"]
+    flags += [f'-DFAKE_BLAZE_FOLDER="{camera}"'] if camera else []
     subprocess.run([compiler(), *flags, "-o", str(path), str(SOURCE)], check=True)
     return path
 

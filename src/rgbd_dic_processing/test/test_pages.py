@@ -19,62 +19,13 @@ import cv2
 import numpy as np
 import pytest
 from rgbd_dic_acquisition.errors import RgbdDicError, SettingsError
-from rgbd_dic_processing.core.crack import CrackOpening
-from rgbd_dic_processing.core.status import FrameStatus
 from rgbd_dic_processing.pages.access import Access, is_loopback
 from rgbd_dic_processing.pages.flight_record import FlightRecord
-from rgbd_dic_processing.pages.live_page import LivePage
-from rgbd_dic_processing.pages.live_state import LiveState, Picture
+from rgbd_dic_processing.pages.live_state import Picture
 from rgbd_dic_processing.pages.server import ServerThread, make_app
+from served_page import START_NS, NoRedirection, Served, opening, openings, portion
 
-START_NS = 1_750_000_000_000_000_000
 TOKEN = "a-token-of-the-test"
-
-
-def opening(time_s: float, value_m: float) -> CrackOpening:
-    """An opening at a time since the start; NaN is one that is not valid."""
-    valid = math.isfinite(value_m)
-    return CrackOpening(
-        START_NS + round(time_s * 1e9),
-        START_NS,
-        "h_pose",
-        FrameStatus.OK if valid else FrameStatus.LOST,
-        "" if valid else "the reference pattern was not found in the image",
-        *(value_m, 0.0 if valid else math.nan, math.nan, abs(value_m)),
-        *(2e-6 if valid else math.nan, 2e-6 if valid else math.nan, math.nan, math.nan),
-        *(70, 71, 0.002),
-    )
-
-
-class Served:
-    """The live page in a thread, on a free port of the loopback."""
-
-    def __init__(self, token: str | None, most_viewers: int = 4):
-        self.state = LiveState(most_viewers)
-        access = Access("127.0.0.1", 0, token)
-        told: list[str] = []
-        self.thread = ServerThread(make_app(access, LivePage(self.state).routes(), "/live"), access, told.append)
-        deadline = time.monotonic() + 10
-        while not told and time.monotonic() < deadline:
-            self.thread.check()
-            time.sleep(0.01)
-        self.address = told[0].split("?")[0]
-        self.port = int(self.address.rstrip("/").rsplit(":", 1)[1])
-
-    def ask(self, path: str, data: bytes | None = None, **headers: str) -> tuple[int, bytes]:
-        """Status and body of an answer; redirections are not followed."""
-        request = urllib.request.Request(self.address + path.lstrip("/"), data, headers)
-        opener = urllib.request.build_opener(NoRedirection)
-        try:
-            with opener.open(request, timeout=10) as answer:
-                return answer.status, answer.read()
-        except urllib.error.HTTPError as error:
-            return error.code, error.read()
-
-
-class NoRedirection(urllib.request.HTTPRedirectHandler):
-    def redirect_request(self, *_: object) -> None:
-        return None
 
 
 @pytest.fixture
@@ -130,6 +81,7 @@ def test_a_token_is_asked_for_and_kept_in_a_cookie(guarded: Served) -> None:
         ("/live/event", b" " * (2 << 20), {"Content-Type": "application/json"}, 413),
         ("/live/recording", b'{"on": "yes"}', {"Content-Type": "application/json"}, 400),
         ("/live/picture?after=x", None, {}, 400),
+        ("/live/picture?after=0&coarse=99", None, {}, 400),
         ("/static/../server.py", None, {}, 404),
         ("/static/%2e%2e/server.py", None, {}, 404),
         ("/live/numbers", None, {}, 400),  # not a WebSocket
@@ -156,7 +108,7 @@ def test_viewers_see_the_same_and_too_many_are_refused(served: Served) -> None:
         async with aiohttp.ClientSession() as session:
             address = f"{served.address}live/numbers"
             viewers = [await session.ws_connect(address) for _ in range(4)]
-            firsts = [await viewer.receive_json(timeout=5) for viewer in viewers]
+            firsts = [await portion(viewer) for viewer in viewers]
             assert all(first["last"]["opening_mm"] == pytest.approx(1.0) for first in firsts)
             assert all([s[1] for s in first["samples"]] == pytest.approx(1e3 * values, abs=1e-6) for first in firsts)
             with pytest.raises(aiohttp.WSServerHandshakeError) as refused:
@@ -168,9 +120,9 @@ def test_viewers_see_the_same_and_too_many_are_refused(served: Served) -> None:
                 if served.state.surroundings()["viewers"] == 3:
                     break
             late = await session.ws_connect(address)
-            assert (await late.receive_json(timeout=5))["last"]["opening_mm"] == pytest.approx(1.0)
+            assert (await portion(late))["last"]["opening_mm"] == pytest.approx(1.0)
             served.state.add_opening(opening(1.0, 2e-3))
-            while not (news := await viewers[1].receive_json(timeout=5))["samples"]:
+            while not (news := await portion(viewers[1]))["samples"]:
                 pass
             assert news["samples"][0][1] == pytest.approx(2.0) and not news["from_start"]
             for viewer in (*viewers[1:], late):
@@ -205,7 +157,7 @@ def test_a_viewer_that_reads_nothing_holds_nobody_up(served: Served) -> None:
 
     async def look() -> list[float]:
         async with aiohttp.ClientSession() as session, session.ws_connect(f"{served.address}live/numbers") as viewer:
-            return [(await viewer.receive_json(timeout=5))["last"]["time"] for _ in range(8)]
+            return [(await portion(viewer))["last"]["time"] for _ in range(8)]
 
     try:
         times = asyncio.run(look())
@@ -214,6 +166,24 @@ def test_a_viewer_that_reads_nothing_holds_nobody_up(served: Served) -> None:
         thread.join()
         silent.close()
     assert all(later > earlier for earlier, later in pairwise(times))
+
+
+def test_nothing_piles_up_on_a_slow_link(served: Served) -> None:
+    """What is not acknowledged is all that is under way; the next portion has the newest opening and all between."""
+
+    async def look() -> None:
+        served.state.add_opening(opening(0.0, 0.0))
+        async with aiohttp.ClientSession() as session, session.ws_connect(f"{served.address}live/numbers") as viewer:
+            assert (await viewer.receive_json(timeout=5))["last"]["time"] == 0.0
+            for index in range(1, 61):
+                served.state.add_opening(opening(index / 10, 1e-6 * index))
+            with pytest.raises(asyncio.TimeoutError):
+                await viewer.receive_json(timeout=1.0)  # five portions later
+            await viewer.send_str("")
+            news = await viewer.receive_json(timeout=5)
+            assert news["last"]["time"] == 6.0 and len(news["samples"]) == 60 and not news["from_start"]
+
+    asyncio.run(look())
 
 
 def test_pictures_come_one_by_one(served: Served) -> None:
@@ -233,6 +203,9 @@ def test_pictures_come_one_by_one(served: Served) -> None:
             **{"outlines": outlines, "reason": ""},
         }
         assert served.state.picture_wanted()
+        for coarse, width in ((0, 40), (1, 20), (2, 10)):
+            _, jpeg = served.ask(f"/live/picture?after=-1&coarse={coarse}")[1].split(b"\n", 1)
+            assert cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_GRAYSCALE).shape[1] == width
     assert not served.state.picture_wanted()  # nobody looks
 
 
@@ -287,3 +260,32 @@ def test_a_bag_that_is_played_again_begins_another_flight() -> None:
         record.add(opening(time_s, 1e-3))
     record.add(replace(opening(0.0, 2e-3)))
     assert record.flight == 1 and record.since(0, 60.0) == ([[0.0, 2.0, 0.002]], 1)
+
+
+@pytest.mark.parametrize(
+    "known_s, there",
+    [
+        ([0.0, 1.0, 2.0, 3.0], [(0.0, 5.0), (1.0, 5.0), (2.0, 5.0), (3.0, 5.0), (4.0, 1.0)]),  # 4 s came meanwhile
+        ([3.5], [(0.0, 1.0), (1.0, 1.0), (1.5, 5.0), (2.0, 1.0)]),  # of a node that was started anew
+        ([], [(0.0, 1.0), (1.0, 1.0), (2.0, 1.0)]),
+        ([0.0, 0.5], [(0.0, 5.0), (0.5, 5.0)]),  # of a bag that is played again: what was here is of another flight
+    ],
+)
+def test_what_was_measured_unheard_is_put_into_its_place(known_s: list[float], there: list) -> None:
+    record = FlightRecord()
+    for time_s in (2.0, 3.0, 4.0):
+        record.add(opening(time_s, 1e-3))
+    record.fill(openings(known_s, 5e-3))
+    samples, following = record.since(0, 60.0)
+    assert [(time_s, value) for time_s, value, _ in samples] == there and following == len(there)
+    assert record.flight == (1 if known_s else 0) and record.time_s(START_NS) == (-2.0 if there[0] == (0.0, 1.0) else 0)
+
+
+def test_the_log_of_a_very_long_flight_forgets_its_beginning(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rgbd_dic_processing.core.opening_log.MOST", 10)
+    record = FlightRecord()
+    for index in range(11):
+        record.add(opening(index, 1e-3))
+    samples, following = record.since(9, 60.0)
+    assert following == 11 and [sample[0] for sample in samples] == [9.0, 10.0]
+    assert [sample[0] for sample in record.since(0, 60.0)[0]] == [5.0, 6.0, 7.0, 8.0, 9.0, 10.0]

@@ -29,15 +29,23 @@ class PanelRuler:
         return self.length_m(at_px - half, at_px + half)
 
     def sizes_m(self, regions: Regions) -> dict[str, float]:
-        """Name -> length of what a user draws, and the distance of the panel along the optical axis [m]."""
-        low, high = regions.panel.min(axis=0), regions.panel.max(axis=0)
-        middle = (low + high) / 2
+        """Name -> length of what a user draws, and the distance of the panel along the optical axis [m].
+
+        Polygons are as wide and as high as the image's rows and columns through the middle of what they reach over.
+        """
+        middle = (regions.panel.min(axis=0) + regions.panel.max(axis=0)) / 2
         sizes = {
             "distance": float(self._points(middle[None])[0, 2]),
             "pixel": self.pixel_m(middle, np.array([1.0, 0.0])),
-            "panel width": self.length_m(np.array([low[0], middle[1]]), np.array([high[0], middle[1]])),
-            "panel height": self.length_m(np.array([middle[0], low[1]]), np.array([middle[0], high[1]])),
         }
+        polygons = {"panel": regions.panel}
+        for kind, drawn in (("fixed", regions.fixed), ("fixed_holes", regions.fixed_holes)):
+            polygons |= {f"{kind}{i}": polygon for i, polygon in enumerate(drawn)}
+        for name, polygon in polygons.items():
+            (x0, y0), (x1, y1) = low, high = polygon.min(axis=0), polygon.max(axis=0)
+            x, y = (low + high) / 2
+            sizes[f"{name} width"] = self.length_m(np.array([x0, y]), np.array([x1, y]))
+            sizes[f"{name} height"] = self.length_m(np.array([x, y0]), np.array([x, y1]))
         if regions.x_axis is not None:
             sizes["x axis"] = self.length_m(*regions.x_axis)
         if regions.crack is not None:

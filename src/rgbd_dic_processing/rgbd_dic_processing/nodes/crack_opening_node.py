@@ -16,14 +16,21 @@ from rgbd_dic_acquisition.nodes.ros_messages import latched_qos, make
 from rgbd_dic_acquisition.nodes.spinning import run
 
 from rgbd_dic_msgs.msg import CrackOpening, DisplacementField, Reference
+from rgbd_dic_msgs.srv import OpeningHistory
 
 from ..core.crack import CrackMeasurement
 from ..core.displacement_field import DisplacementField as CoreField
+from ..core.opening_log import OpeningLog
 from ..core.regions_file import load_regions
 from ..core.settings import CrackSettings
 from .inputs import STREAM_DEPTH, CameraInput, OfReference, sensor_qos
 from .keeping_up import KeepUp
-from .messages import crack_opening_message, displacement_field_from_message, reference_from_message
+from .messages import (
+    crack_opening_message,
+    displacement_field_from_message,
+    reference_from_message,
+    write_opening_history,
+)
 
 
 class CrackOpeningNode(Node):
@@ -38,6 +45,10 @@ class CrackOpeningNode(Node):
         self._settings = declare(self, CrackSettings, "crack")
         self.diagnostics = Diagnostics(self)
         self._output = self.diagnostics.watch(self.create_publisher(CrackOpening, "crack_opening", STREAM_DEPTH))
+        self._log = OpeningLog()
+        self.create_service(
+            OpeningHistory, "~/history", lambda _, answer: write_opening_history(answer, self._log.kept())
+        )
         self._keep_up = KeepUp(self, self.diagnostics)
         self.work = self._keep_up.work
         self._camera = CameraInput(self, self.diagnostics, sensor_qos(self), self._start)
@@ -60,6 +71,7 @@ class CrackOpeningNode(Node):
 
     def _measure(self, field: CoreField, crack: CrackMeasurement | None) -> None:
         opening = (crack or self._crack).measure(field)
+        self._log.add(opening.stamp_ns, opening.opening_m, opening.u_opening_m)
         self.diagnostics.count("frames")
         if not opening.valid:
             self.diagnostics.count("invalid")

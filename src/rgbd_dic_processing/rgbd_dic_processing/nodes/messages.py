@@ -6,6 +6,7 @@ Reading works on any object with the fields of the message, so it serves bags to
 
 from __future__ import annotations
 
+from array import array
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,7 @@ from ..core.curvature import Curvature
 from ..core.displacement_field import DisplacementField
 from ..core.geometry import Plane
 from ..core.nearest_attitude import Attitude
+from ..core.opening_log import Openings
 from ..core.pairing import FramePair
 from ..core.plane import PlaneEstimate
 from ..core.regions_file import entries_of_text, regions_of, text_of
@@ -273,6 +275,22 @@ def crack_opening_from_message(msg: Any) -> CrackOpening:
         int(msg.n_right),
         msg.depth_offset,
         msg.latency,
+    )
+
+
+def write_opening_history(response: Any, openings: Openings) -> Any:
+    """The response of rgbd_dic_msgs/srv/OpeningHistory, filled."""
+    response.stamps = array("q", openings.stamps_ns.tobytes())
+    response.opening = array("f", openings.opening_m.tobytes())
+    response.u_opening = array("f", openings.u_m.tobytes())
+    return response
+
+
+def openings_from_history(response: Any) -> Openings:
+    return Openings(
+        np.array(response.stamps, np.int64),
+        np.array(response.opening, np.float32),
+        np.array(response.u_opening, np.float32),
     )
 
 

@@ -30,6 +30,7 @@ from ..pages.regions_page import RegionsPage
 from ..pages.server import ServerThread, make_app
 from ..pages.settings import OperatorSettings
 from .inputs import STREAM_DEPTH
+from .live_history import LiveHistory
 from .live_orders import LiveOrders
 from .live_pictures import LivePictures
 from .messages import crack_opening_from_message, reference_from_message
@@ -65,6 +66,7 @@ class OperatorNode(Node):
         self._pictures.camera = self._camera
         events = self._diagnostics.watch(self.create_publisher(Event, "event", 10))
         self._orders = LiveOrders(self, self._state, processing, self._settings.noise, lambda: self._camera, events)
+        self._history = LiveHistory(self, self._state)
         self._openings = Shelf(self, CrackOpening, "crack_opening", OPENINGS_DEPTH)
         self._heard, self._info = [], None
         self._offers_due_s = 0.0
@@ -84,6 +86,7 @@ class OperatorNode(Node):
                 self._forget_info()
             for message in self._openings.taken():
                 self._state.add_opening(crack_opening_from_message(message))
+            self._history.turn()
             self._pictures.turn()
             self._orders.turn()
             if watched and time.monotonic() >= self._offers_due_s:
@@ -103,6 +106,7 @@ class OperatorNode(Node):
         ]
         self._heard = [self.create_subscription(*stream) for stream in streams]
         self._openings.listen()
+        self._history.ask()
         if self._camera is None:
             qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
             self._info = self.create_subscription(CameraInfo, "camera/camera_info", self._camera_info, qos)

@@ -1,4 +1,4 @@
-"""The openings that the live page has seen, for its figures and its strip charts."""
+"""The openings of a flight, for the figures and the strip charts of the live page."""
 
 from __future__ import annotations
 
@@ -8,41 +8,38 @@ from typing import Any
 import numpy as np
 
 from ..core.crack import CrackOpening
-
-RESTART_S = 1.0  # an opening so much older than the last one belongs to another flight
-MOST = 1 << 20  # openings of one flight, five hours at 60 Hz; then the older half is forgotten
+from ..core.opening_log import OpeningLog, Openings
 
 
 class FlightRecord:
     """All openings of a flight, by the time of their images.
 
     Attributes:
-        last: the latest one; None before the first.
-        flight: number of the flight; a clock that jumps back, as when a bag is played again, begins another.
+        last: the latest one that was heard; None before the first.
     """
 
     def __init__(self) -> None:
         self.last: CrackOpening | None = None
-        self.flight = 0
-        self._clear()
-
-    def _clear(self) -> None:
+        self._log = OpeningLog()
         self._start_ns = 0
-        self._first = 0  # number of the oldest sample that is kept
-        self._samples: list[tuple[float, float, float]] = []  # time [s], opening and its uncertainty [mm]; NaN: invalid
+
+    @property
+    def flight(self) -> int:
+        """As of OpeningLog."""
+        return self._log.flight
 
     def add(self, opening: CrackOpening) -> None:
         """Openings come in the order of their images, but for a clock that jumps back."""
-        if self.last is not None and opening.stamp_ns < self.last.stamp_ns - RESTART_S * 1e9:
-            self._clear()
-            self.flight += 1
-        if not self._samples:
+        self._log.add(opening.stamp_ns, opening.opening_m, opening.u_opening_m)
+        if len(self._log) == 1:
             self._start_ns = opening.stamp_ns
         self.last = opening
-        self._samples.append((self.time_s(opening.stamp_ns), opening.opening_m * 1e3, opening.u_opening_m * 1e3))
-        if len(self._samples) > MOST:
-            self._first += MOST // 2
-            del self._samples[: MOST // 2]
+
+    def fill(self, known: Openings) -> None:
+        """What was measured before anybody looked."""
+        self._log.fill(known)
+        if len(self._log):
+            self._start_ns = int(self._log.kept().stamps_ns[0])
 
     def time_s(self, stamp_ns: int) -> float:
         """Since the first opening of the flight [s]."""
@@ -54,22 +51,25 @@ class FlightRecord:
         Returns:
             They, and the number to ask for next.
         """
-        start = max(number - self._first, 0)
-        oldest = self._samples[-1][0] - window_s if self._samples else 0.0
-        fresh = [sample for sample in self._samples[start:] if sample[0] >= oldest]
-        return [[round(t, 4), *_shown(value, u)] for t, value, u in fresh], self._first + len(self._samples)
+        fresh = self._log.kept(max(number - self._log.forgotten, 0))
+        if len(fresh):
+            fresh = fresh.where(fresh.stamps_ns >= fresh.stamps_ns[-1] - window_s * 1e9)
+        columns = (self._times_s(fresh), fresh.opening_m * 1e3, fresh.u_m * 1e3)
+        shown = [[round(t, 4), *_shown(value, u)] for t, value, u in zip(*(c.tolist() for c in columns), strict=True)]
+        return shown, self._log.forgotten + len(self._log)
 
     def overview(self, bins: int) -> dict[str, Any]:
         """The whole flight in bins of time: lowest and highest opening [mm] (None: no valid one), share of invalid."""
-        if not self._samples:
+        if not len(self._log):
             return {"end": 0.0, "low": [], "high": [], "invalid": []}
-        time_s, opening, _ = np.array(self._samples).T
+        openings = self._log.kept()
+        time_s, opening_mm = self._times_s(openings), openings.opening_m * 1e3
         end = max(float(time_s[-1]), 1.0)
         place = np.clip((time_s / end * bins).astype(int), 0, bins - 1)
-        valid = np.isfinite(opening)
+        valid = np.isfinite(opening_mm)
         low, high = np.full(bins, np.inf), np.full(bins, -np.inf)
-        np.minimum.at(low, place[valid], opening[valid])
-        np.maximum.at(high, place[valid], opening[valid])
+        np.minimum.at(low, place[valid], opening_mm[valid])
+        np.maximum.at(high, place[valid], opening_mm[valid])
         count = np.bincount(place, minlength=bins)
         invalid = np.bincount(place[~valid], minlength=bins) / np.maximum(count, 1)
         return {
@@ -78,6 +78,9 @@ class FlightRecord:
             "high": [round(v, 5) if math.isfinite(v) else None for v in high.tolist()],
             "invalid": [round(v, 2) for v in invalid.tolist()],
         }
+
+    def _times_s(self, openings: Openings) -> np.ndarray:
+        return (openings.stamps_ns - self._start_ns) * 1e-9
 
 
 def _shown(*values: float) -> list[float | None]:

@@ -10,7 +10,7 @@ import time
 from aiohttp import WSMsgType, web
 from rgbd_dic_acquisition.errors import RgbdDicError
 
-from .live_state import LiveState, TooManyViewers
+from .live_state import COARSEST, LiveState, TooManyViewers
 from .server import json_request, json_response, page
 
 PERIOD_S, SLOW_S = 0.2, 1.0  # of the numbers, and of what changes slowly
@@ -36,7 +36,7 @@ class LivePage:
         ]
 
     async def _numbers(self, request: web.Request) -> web.StreamResponse:
-        """The openings as they come. A slow viewer gets them in larger portions, and holds nobody up."""
+        """The openings as they come; a viewer that leaves, or says nothing for long, is let go."""
         with contextlib.ExitStack() as stack:
             try:
                 stack.enter_context(self._state.viewer())
@@ -44,17 +44,14 @@ class LivePage:
                 raise web.HTTPServiceUnavailable(text=str(error)) from error
             socket = web.WebSocketResponse(heartbeat=ALIVE_S, max_msg_size=1024)
             await socket.prepare(request)
-            ended = asyncio.create_task(_until_closed(socket))
-            try:
+            with contextlib.suppress(ConnectionError, RuntimeError):  # it went away
                 await self._tell(socket)
-            except (ConnectionError, RuntimeError):
-                pass  # it went away
-            finally:
-                ended.cancel()
-                await socket.close()
+            await socket.close()
         return socket
 
     async def _tell(self, socket: web.WebSocketResponse) -> None:
+        """The next portion goes out when the viewer has said that it has the one before: nothing piles up on a slow
+        link, whose portions are fewer and larger, and as new as the others."""
         flight, number, slow_at = -1, 0, float("-inf")
         while not socket.closed:
             content, flight, number = self._state.news(flight, number)
@@ -62,14 +59,21 @@ class LivePage:
                 slow_at = time.monotonic()
                 content |= self._state.surroundings()
             await socket.send_str(json.dumps(content, allow_nan=False, separators=(",", ":")))
-            await asyncio.sleep(PERIOD_S)
+            said, _ = await asyncio.gather(socket.receive(), asyncio.sleep(PERIOD_S))
+            if said.type is not WSMsgType.TEXT:
+                return
 
     async def _picture(self, request: web.Request) -> web.Response:
-        """The next picture after the one that the viewer has, as a line of JSON and a JPEG; 204 if none comes."""
+        """The next picture after the one that the viewer has, as a line of JSON and a JPEG; 204 if none comes.
+
+        `coarse` is for a slow link: so many times the picture is halved.
+        """
         try:
-            after = int(request.query.get("after", "-1"))
+            after, coarse = (int(request.query.get(name, default)) for name, default in (("after", -1), ("coarse", 0)))
+            if coarse not in range(COARSEST + 1):
+                raise ValueError(f"coarse is {coarse}")
         except ValueError as error:
-            raise web.HTTPBadRequest(text="after: expected the number of a picture") from error
+            raise web.HTTPBadRequest(text=f"after: the number of a picture; coarse: 0 to {COARSEST}") from error
         picture = await self._state.next_picture(after, PICTURE_TIMEOUT_S)
         if picture is None:
             return web.Response(status=204)
@@ -82,7 +86,7 @@ class LivePage:
             "reason": picture.reason,
         }
         words = json.dumps(about, allow_nan=False).encode()
-        return web.Response(body=words + b"\n" + picture.jpeg, content_type="application/octet-stream")
+        return web.Response(body=words + b"\n" + picture.jpeg(coarse), content_type="application/octet-stream")
 
     async def _reference(self, _: web.Request) -> web.Response:
         return json_response({"done": await self._state.order("reference")})
@@ -101,10 +105,3 @@ class LivePage:
         if len(words) > LONGEST_EVENT:
             raise RgbdDicError(f"an event of {len(words)} characters: use at most {LONGEST_EVENT}")
         return json_response({"done": await self._state.order("event", words or "mark")})
-
-
-async def _until_closed(socket: web.WebSocketResponse) -> None:
-    """Viewers have nothing to say here; reading notices when they leave."""
-    async for message in socket:
-        if message.type in (WSMsgType.TEXT, WSMsgType.BINARY):
-            await socket.close()

@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from concurrent.futures import Future, InvalidStateError
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
-from functools import cached_property
 from queue import SimpleQueue
 from typing import Any
 
@@ -20,10 +19,12 @@ from numpy.typing import NDArray
 from rgbd_dic_acquisition.errors import RgbdDicError
 
 from ..core.crack import CrackOpening
+from ..core.opening_log import Openings
 from .flight_record import FlightRecord
 
 PICTURE_LINGER_S = 2.0  # pictures are made until nobody has asked for so long
 MINUTE_S = 60.0
+COARSEST = 2  # how often a picture is halved for a slow link
 BINS = 400  # of the chart of the whole flight
 MOST_EVENTS = 200
 
@@ -38,6 +39,7 @@ class Picture:
 
     width, height: of the camera's image [px]. small: the whole of it with fewer pixels, mono8.
     outlines: name -> points [px of the camera's image]; empty if the panel was not found, with the reason.
+    jpegs: those that were made.
     """
 
     number: int
@@ -48,11 +50,16 @@ class Picture:
     quality: int
     outlines: dict[str, Any]
     reason: str
+    jpegs: dict[int, bytes] = field(default_factory=dict)
 
-    @cached_property
-    def jpeg(self) -> bytes:
-        """Made when it is first asked for: nobody may ask."""
-        return cv2.imencode(".jpg", self.small, [cv2.IMWRITE_JPEG_QUALITY, self.quality])[1].tobytes()
+    def jpeg(self, coarse: int) -> bytes:
+        """With half of the pixels each way, so many times. Made when it is first asked for: nobody may ask."""
+        if coarse not in self.jpegs:
+            shown = self.small
+            for _ in range(coarse):
+                shown = cv2.pyrDown(shown)
+            self.jpegs[coarse] = cv2.imencode(".jpg", shown, [cv2.IMWRITE_JPEG_QUALITY, self.quality])[1].tobytes()
+        return self.jpegs[coarse]
 
 
 @dataclass
@@ -101,6 +108,11 @@ class LiveState:
     def add_opening(self, opening: CrackOpening) -> None:
         with self._lock:
             self._record.add(opening)
+
+    def fill(self, known: Openings) -> None:
+        """What was measured while nobody looked."""
+        with self._lock:
+            self._record.fill(known)
 
     def last_stamp_ns(self) -> int:
         """Of the latest opening; 0 before the first."""

@@ -22,7 +22,7 @@ export class Chart {
     [low, high] = [low - margin, high + margin];
     const x = (t) => LEFT + (t - from) / (to - from) * (width - LEFT - RIGHT);
     const y = (v) => bottom - (v - low) / (high - low) * (bottom - TOP);
-    context.font = "12px system-ui, sans-serif";
+    context.font = "13px system-ui, sans-serif";
     context.lineWidth = 1;
     context.textAlign = "right";
     context.textBaseline = "middle";

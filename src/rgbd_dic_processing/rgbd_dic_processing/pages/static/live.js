@@ -6,6 +6,8 @@ import {Chart} from "./chart.js";
 const $ = (id) => document.getElementById(id);
 const ORDER = ["crack", "compensation", "plane", "pairing", "dic", "recorder", "mavlink", "tof", "camera", "player"].reverse();
 const MINUTE_S = 60, OLD_S = 2, LATE_S = 1.5, SILENT_S = 3.5;
+const STATES = {ok: "running", warn: "warning", error: "error", silent: "silent"};
+const LOST = /^(lost|dropped|missed|skipped|failed|incomplete|invalid|without)\b/;
 const minute = new Chart($("minute")), flight = new Chart($("flight"));
 const seen = {flight: -1, samples: [], events: [], overview: null, last: null, changedAt: 0, offers: {}, recording: null};
 
@@ -13,12 +15,25 @@ new CameraView($("picture"), $("picture-note"));
 
 function connect() {
   const socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/live/numbers`);
-  socket.onmessage = (event) => take(JSON.parse(event.data));
+  socket.onmessage = (event) => {
+    socket.send("");  // it is here: the next may come
+    take(JSON.parse(event.data));
+  };
   socket.onopen = () => linked("connected", true);
-  socket.onclose = () => {
-    linked("connection lost, trying again…", false);
+  socket.onclose = async () => {
+    linked(await refusal() || "connection lost, trying again…", false);
     setTimeout(connect, 1000);
   };
+}
+
+// Why the server does not let this page in, in its words; empty if it does, or is not there.
+async function refusal() {
+  try {
+    const response = await fetch("/live/numbers");
+    return [401, 403, 503].includes(response.status) ? response.text() : "";
+  } catch {
+    return "";
+  }
 }
 
 function linked(words, well) {
@@ -50,6 +65,9 @@ function surroundings({nodes, offers, viewers, overview, events}) {
   $("reference").disabled = !offers.reference;
   $("recording").disabled = !offers.recording || seen.recording === null;
   $("recording").textContent = seen.recording === false ? "Start recording" : "Stop recording";
+  const wrong = nodes.map((node) => [node.name, stateOf(node)]).filter(([, state]) => state !== "ok");
+  say($("health"), wrong.map(([name, state]) => `${name}: ${STATES[state]}`).join(", ") || `${nodes.length} nodes run`);
+  $("health").className = wrong.length ? "lost" : "";
   const place = ({name}) => ORDER.findIndex((start) => name.startsWith(start));
   $("nodes").replaceChildren(...nodes.sort((a, b) => place(a) - place(b)).map(nodeRow));
 }
@@ -69,26 +87,29 @@ function reading() {
   say(state, !last ? "waiting for the first measurement" : old ? "no new measurement" : last.valid ? "valid" : "not valid");
   $("reason").textContent = last && !last.valid ? last.reason : old ? `the last one is ${age.toFixed(0)} s old` : "";
   if (!last) return;
+  const valid = seen.samples.map(([, value]) => value !== null);
   rows($("facts"), [
-    ["Image of", `${last.clock} UTC`],
-    ["Reference taken", last.reference_age_s === null ? "not yet" : `${last.reference_age_s.toFixed(1)} s before`],
+    ["Valid in the last minute", valid.length ? `${(100 * valid.filter(Boolean).length / valid.length).toFixed(1)} %` : "–"],
+    ["Image of", `${last.clock.split(" ")[1]} UTC`],
     ["Sliding", last.sliding_mm === null ? "–" : `${signed(last.sliding_mm, 3)} mm`],
+    ["Reference taken", last.reference_age_s === null ? "not yet" : `${last.reference_age_s.toFixed(1)} s before`],
     ["Subsets left, right", `${last.left}, ${last.right}`],
     ["Latency", last.latency_s === null ? "–" : latency(last.latency_s)],
     ["Image to depth", last.depth_offset_s === null ? "–" : `${(last.depth_offset_s * 1000).toFixed(1)} ms`],
   ]);
 }
 
-function nodeRow({name, level, message, counters, topics, heard}) {
-  const state = heard > SILENT_S ? "silent" : level, row = document.createElement("tr");
+const stateOf = ({heard, level}) => (heard > SILENT_S ? "silent" : level);
+
+function nodeRow(node) {
+  const {name, message, counters, topics, heard} = node, state = stateOf(node), row = document.createElement("tr");
   const main = topics.reduce((a, b) => ((b.rate ?? -1) > (a?.rate ?? -1) ? b : a), null);
-  const lost = Object.entries(counters).filter(([key]) => /lost|dropped|invalid|without/.test(key));
   const cells = [
-    state === "ok" ? "running" : state === "warn" ? "warning" : state,
+    STATES[state],
     main?.rate?.toFixed(1) ?? "–",
     main?.age?.toFixed(2) ?? "–",
-    lost.map(([key, count]) => `${count} ${key}`).join(", ") || "0",
-    state === "silent" ? `not heard for ${heard.toFixed(0)} s` : message === "OK" ? "" : message,
+    lost(counters),
+    state === "silent" ? `not heard for ${heard.toFixed(0)} s` : message === "OK" ? disk(counters) : message,
   ];
   const head = document.createElement("th");
   head.scope = "row";
@@ -101,6 +122,21 @@ function nodeRow({name, level, message, counters, topics, heard}) {
     return cell;
   }));
   return row;
+}
+
+// What was lost, by kind: the recorder counts each topic by itself.
+function lost(counters) {
+  const sums = {};
+  for (const [key, count] of Object.entries(counters)) {
+    const kind = key.split(" /")[0];
+    if (LOST.test(kind) && Number(count)) sums[kind] = (sums[kind] || 0) + Number(count);
+  }
+  return Object.entries(sums).map(([kind, count]) => `${count} ${kind}`).join(", ") || "0";
+}
+
+function disk(counters) {
+  const rate = counters["rate [MB/s]"], left = Number(counters["time left [s]"]);
+  return rate === undefined ? "" : `${rate} MB/s${left > 0 ? `, room for ${(left / 60).toFixed(0)} min` : ""}`;
 }
 
 const latency = (value) => `${(value * 1000).toFixed(0)} ms${value > LATE_S ? ", late" : ""}`;

@@ -4,14 +4,11 @@ export const SIGMA_CLASSES = [
   {words: "up to 0.01 px", below: 0.01, color: "#2166ac"},
   {words: "up to 0.02 px", below: 0.02, color: "#67a9cf"},
   {words: "up to 0.05 px", below: 0.05, color: "#fdae61"},
-  {words: "more: too little texture", below: Infinity, color: "#b2182b"},
-  {words: "none: cannot be found", below: null, color: "none"},
+  {words: "more: poor texture", below: Infinity, color: "#b2182b"},
+  {words: "none: not found", below: null, color: "none"},
 ];
 const SIZES = {
-  "distance": "Distance of the panel", "pixel": "One pixel", "panel width": "Panel, width",
-  "panel height": "Panel, height", "x axis": "x axis", "left zone across": "Left zone, across",
-  "left zone along": "Left zone, along", "right zone across": "Right zone, across",
-  "right zone along": "Right zone, along", "between zone centres": "Between the zones' centres",
+  "distance": "Distance of the panel", "pixel": "One pixel", "between zone centres": "Between the zones' centres",
 };
 const COUNTS = {panel: "Panel", fixed: "Fixed region", left: "Left zone", right: "Right zone"};
 
@@ -59,6 +56,21 @@ export function showLook(look, problem, begun) {
     sizes.push(["Noise of one opening, from texture", `${look.u_opening_px.toFixed(4)} px`]);
   rows("sizes", sizes);
   document.getElementById("no-sizes").textContent = look?.no_sizes ? `No sizes in mm: ${look.no_sizes}.` : "";
+}
+
+// The size of a drawn shape on the panel; empty as long as it is not known.
+export function sizeOf(look, key) {
+  const known = look?.sizes_mm ?? {}, mm = (...names) => names.map((name) => known[name]?.toFixed(0)).join(" × ");
+  if (key === "x_axis") return known["x axis"] == null ? "" : `${mm("x axis")} mm`;
+  if (key === "crack") {
+    if (known["left zone across"] == null) return "";
+    const sides = ["left", "right"].map((side) => [known[`${side} zone across`], known[`${side} zone along`]]);
+    const means = [0, 1].map((i) => (sides[0][i] + sides[1][i]) / 2);
+    const words = (lengths) => lengths.map((length) => length.toFixed(0)).join(" × ");
+    return sides[0].every((length, i) => Math.abs(length - means[i]) < 0.03 * means[i])  // but for the perspective
+      ? `each ${words(means)} mm` : `${sides.map(words).join(", ")} mm`;
+  }
+  return known[`${key} width`] == null ? "" : `${mm(`${key} width`, `${key} height`)} mm`;
 }
 
 function list(id, words) {

@@ -30,6 +30,11 @@ export class Pencil {
     this.page.redraw();
   }
 
+  takeBack() {
+    this.points.pop();
+    this.page.redraw();
+  }
+
   clamp([x, y]) {
     const {width, height} = this.page.view.image;
     return [Math.min(width - 1, Math.max(0, x)), Math.min(height - 1, Math.max(0, y))];
@@ -154,10 +159,8 @@ export class Pencil {
     } else if (step) this.page.view.pan(-step[0] * 4 * size, -step[1] * 4 * size);
     else if (event.key === " " && this.drawing && this.cursor) this.place(this.cursor);
     else if (event.key === "Enter" && this.drawing) this.finish();
-    else if (event.key === "Backspace" && this.drawing) {
-      this.points.pop();
-      this.page.redraw();
-    } else if (event.key === "Escape") {
+    else if (event.key === "Backspace" && this.drawing) this.takeBack();
+    else if (event.key === "Escape") {
       if (this.points.length) this.cancel();
       else this.page.chooseTool("move");
     } else if (event.key === "Delete" && this.selected) this.page.edit(this.selected.remove);

@@ -4,7 +4,7 @@ import {History} from "./history.js";
 import {Layer} from "./layer.js";
 import {Pencil} from "./pencil.js";
 import {add, shapesOf} from "./shapes.js";
-import {showLook, paintSubsets, SIGMA_CLASSES} from "./look.js";
+import {showLook, sizeOf, paintSubsets, SIGMA_CLASSES} from "./look.js";
 import {View} from "./view.js";
 
 const $ = (id) => document.getElementById(id);
@@ -57,6 +57,8 @@ const pencil = new Pencil($("view"), page);
 
 function redraw() {
   if (!page.scene) return;
+  $("undo").disabled = !history.past.length && !pencil.points.length;
+  $("redo").disabled = !history.future.length;
   const shapes = page.shapes();
   layer.render({
     view: page.view, shapes, selected: page.tool === "move" ? page.selected : null, draft: pencil.draft,
@@ -80,9 +82,11 @@ function zoneLetters() {
 }
 
 function listShapes() {
+  const focused = document.activeElement?.id;
   const items = page.shapes().map((shape) => {
     const item = document.createElement("li"), select = document.createElement("button");
-    const remove = document.createElement("button");
+    const remove = document.createElement("button"), size = document.createElement("span");
+    select.id = `list-${shape.key}`;
     select.textContent = shape.name;
     select.className = `name ${shape.kind}`;
     select.setAttribute("aria-pressed", String(shape.key === page.selected));
@@ -90,16 +94,23 @@ function listShapes() {
       page.chooseTool("move");
       page.select(shape.key);
     };
-    remove.textContent = "Remove";
-    remove.setAttribute("aria-label", `Remove ${shape.name}`);
+    size.className = "size";
+    size.id = `size-${shape.key}`;
+    size.textContent = sizeOf(page.look, shape.key);
+    select.append(size);
+    select.setAttribute("aria-label", shape.name);
+    select.setAttribute("aria-describedby", size.id);
+    remove.textContent = "✕";
+    remove.className = "remove";
+    remove.title = `Remove ${shape.name}`;
+    remove.setAttribute("aria-label", remove.title);
     remove.onclick = () => page.edit(shape.remove);
     item.append(select, remove);
     return item;
   });
   $("shapes-list").replaceChildren(...items);
   $("nothing").hidden = items.length > 0;
-  $("undo").disabled = !history.past.length;
-  $("redo").disabled = !history.future.length;
+  if (focused?.startsWith("list-")) $(focused)?.focus({preventScroll: true});
 }
 
 function changed() {
@@ -132,6 +143,7 @@ async function askForLook() {
     if (!again) {
       showLook(page.look, problem, Object.keys(asked).length > 0);
       ready(Boolean(page.look && !page.look.refusals.length));
+      listShapes();
       page.view.changed();
     }
   } while (again);
@@ -146,12 +158,21 @@ function replaceEntries(others) {
   changed();
 }
 
+// What has been drawn since is lost when the page is left: the browser then asks.
+let keptText = "{}";
+function kept(entries) {
+  keptText = JSON.stringify(entries);
+}
+window.addEventListener("beforeunload", (event) => {
+  if (JSON.stringify(history.value) !== keptText) event.preventDefault();
+});
+
 function ready(yes) {
   for (const id of ["save", "set"]) $(id).disabled = !yes;
 }
 
 function say(words, wrong = false) {
-  $("said").textContent = words;
+  $("said").textContent = words || `Save writes ${page.scene?.out ?? "regions.yaml"}`;
   $("said").classList.toggle("wrong", wrong);
 }
 
@@ -168,10 +189,9 @@ async function ask(path, content) {
 
 async function load() {
   page.scene = await get("/regions/scene");
-  const {name, width, height, subset_size, step, noise, out, live} = page.scene;
+  const {name, width, height, subset_size, step, noise, live} = page.scene;
   $("source").textContent = `${name}, ${width} × ${height} px`;
   $("grid").textContent = `subsets of ${subset_size} px every ${step} px, image noise of ${noise} grey levels`;
-  $("out").textContent = out;
   for (const element of document.querySelectorAll(".live-only")) element.hidden = !live;
   const image = new Image();
   image.src = `/regions/image?${Date.now()}`;
@@ -181,19 +201,29 @@ async function load() {
 
 for (const button of document.querySelectorAll("button[data-tool]"))
   button.onclick = () => page.chooseTool(button.dataset.tool);
-$("undo").onclick = () => { history.undo(); changed(); };
+$("undo").onclick = () => {
+  if (pencil.points.length) {
+    pencil.takeBack();
+    return;
+  }
+  history.undo();
+  changed();
+};
 $("redo").onclick = () => { history.redo(); changed(); };
 $("zoom-in").onclick = () => page.view.zoom(1.25);
 $("zoom-out").onclick = () => page.view.zoom(0.8);
 $("fit").onclick = () => page.view.fit();
 $("show-subsets").onchange = () => page.view.changed();
-$("save").onclick = () => ask("/regions/save", {entries: history.value});
-$("set").onclick = () => ask("/regions/set", {entries: history.value});
+for (const what of ["save", "set"]) $(what).onclick = async () => {
+  const entries = structuredClone(history.value);
+  if (await ask(`/regions/${what}`, {entries})) kept(entries);
+};
 $("new-image").onclick = async () => {
   const answer = await ask("/regions/new_image", {});
   if (!answer) return;
   await load();
   replaceEntries(page.scene.entries);
+  kept(history.value);
   say(answer.done);
 };
 $("open").onclick = () => $("file").click();
@@ -204,6 +234,7 @@ $("file").onchange = async () => {
   const answer = await ask("/regions/read", {text: await file.text()});
   if (!answer) return;
   replaceEntries(answer.entries);
+  kept(history.value);
   say(`${file.name} is loaded`);
 };
 document.addEventListener("keydown", (event) => {
@@ -227,6 +258,7 @@ page.chooseTool("move");
 try {
   await load();
   history.reset(page.scene.entries);
+  kept(history.value);
   changed();
 } catch (error) {
   say(error.message, true);
