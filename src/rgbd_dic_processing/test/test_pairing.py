@@ -113,6 +113,21 @@ def test_join_gives_up_what_never_completes() -> None:
     assert [frame.field.stamp_ns for frame in join.flush()] == [3, 4, 5]
 
 
+def test_join_goes_on_after_a_plane_that_never_came() -> None:
+    """Two ToF frames an image, and room for ten images: while the first one waits, more planes come than that."""
+    join = FrameJoin(10)
+    join.add_reference(7)
+    left = []
+    for number in range(40):
+        stamp = number * 100 * MS
+        for depth in (stamp + 2 * MS, stamp + 52 * MS):
+            if number:
+                left += join.add_plane(PlaneEstimate(depth, FrameStatus.NO_PLANE, "none"))
+        left += join.add_field(Field(stamp)) + join.add_pair(FramePair(stamp, stamp + 2 * MS))
+    assert [frame.field.stamp_ns for frame in left] == [number * 100 * MS for number in range(40)]
+    assert [frame.plane is None for frame in left] == [True] + 39 * [False]
+
+
 def test_join_lets_what_cannot_be_measured_leave_at_once() -> None:
     """In its turn, but without a pair: a bad image, or one whose stamp comes twice, may never get one."""
     join = FrameJoin(10)
@@ -181,6 +196,20 @@ def test_a_silence_is_not_a_jump(images: bool, depths: bool) -> None:
     for delay in (-20, 15, 60):
         pairs = true_pairs(still, still, *kept, delay=delay * MS)
         assert all(depth == nearest(image, kept[1], 30 * MS) for image, depth, _ in pairs)
+
+
+@pytest.mark.parametrize("until", [710, 760, 900])
+def test_images_that_come_late_after_a_silence_are_no_jump(until: int) -> None:
+    """The ToF sensor is silent for 400 ms, and a busy computer hands out all that came by then at once, its frames
+    first. Pairing goes on, at the latest, with the first image that is newer than all of them."""
+    depths = [t for t in DEPTHS if not 300 * MS < t < 700 * MS]
+    arrivals = [(max(t, until * MS), "image", t) for t in IMAGES] + [(t, "depth", t) for t in depths]
+    events = [(kind, stamp) for _, kind, stamp in sorted(arrivals)]
+    pairs = pair_all(events)
+    assert [pair.stamp_ns for pair in pairs] == IMAGES
+    assert all(pair.depth_stamp_ns in (None, nearest(pair.stamp_ns, depths, 30 * MS)) for pair in pairs)
+    later = [pair for pair in pairs if pair.stamp_ns > (until + 60) * MS]
+    assert later and all(pair.depth_stamp_ns is not None for pair in later)
 
 
 def test_join_does_not_mix_what_has_one_stamp_before_and_after_a_jump() -> None:

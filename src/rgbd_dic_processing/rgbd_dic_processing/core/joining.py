@@ -12,6 +12,8 @@ from .stamps import Place, Stretches
 from .status import FrameStatus
 from .subset_field import SubsetField
 
+NEAR_NS = 1_000_000_000  # a plane that is older than its image by so much belongs to none
+
 
 @dataclass(frozen=True)
 class JoinedFrame:
@@ -85,5 +87,6 @@ class FrameJoin:
         self._pairs = {key: value for key, value in self._pairs.items() if key > place}
         if depth is not None:
             self._planes = {key: value for key, value in self._planes.items() if key >= depth}
-        while len(self._planes) > self._max_waiting:
+        stretch, waiting_ns = self._fields[0][0] if self._fields else place
+        while len(self._planes) > self._max_waiting and next(iter(self._planes)) < (stretch, waiting_ns - NEAR_NS):
             self._planes.pop(next(iter(self._planes)))

@@ -41,7 +41,8 @@ class FramePairing:
     later images show that the ToF frame is missing. The earlier of two equally near frames wins.
 
     If the clocks of both sensors jump back, pairing goes on after it. If only one does, or the ToF sensor's jumps
-    ahead, no stamp tells any more which frames belong together, and none are paired.
+    ahead, no stamp tells any more which frames belong together, and none are paired. What looked like a jump ahead was
+    none, but images that came late, once one comes that is newer than the newest ToF frame.
     """
 
     def __init__(self, settings: PairingSettings):
@@ -72,6 +73,8 @@ class FramePairing:
             self._stretch_began_ns = stamp_ns
         if self._silence and self._silence[0] < image < _later(self._silence[1], -self._patience_ns):
             self._ahead = self._silence[1][0]  # images go on as if there was no gap: it was the clock
+        elif image > self._of_depths.newest:
+            self._ahead = -1
         self._images.append(image)
         if image <= self._doubtful:
             self._alone.add(image)
