@@ -115,6 +115,64 @@ def test_every_display_of_the_rviz_configuration_has_its_topic() -> None:
             assert set(display["Visibility"]) <= names
 
 
+QOS = {"Value", "Depth", "History Policy", "Reliability Policy", "Durability Policy"}
+FILTERED = QOS | {"Filter size"}  # of displays that wait for a transform
+COMMON = {"Class", "Name", "Enabled", "Value", "Topic"}
+CLOUD = {
+    *("Alpha", "Color Transformer", "Position Transformer", "Style", "Size (Pixels)", "Size (m)", "Selectable"),
+    *("Decay Time", "Channel Name", "Use rainbow", "Invert Rainbow", "Min Color", "Max Color"),
+    *("Autocompute Intensity Bounds", "Min Intensity", "Max Intensity"),
+}
+PROPERTIES = {  # class -> the names of its properties in rviz's sources, and those of its topic
+    "Camera": (
+        {"Image Rendering", "Overlay Alpha", "Far Plane Distance", "Zoom Factor", "Visibility"},
+        QOS,
+    ),
+    "Image": ({"Normalize Range", "Min Value", "Max Value", "Median window"}, QOS),
+    "MarkerArray": ({"Namespaces"}, QOS),
+    "PointCloud2": (CLOUD, FILTERED),
+}
+CHOICES = {
+    "Image Rendering": {"background", "overlay", "background and overlay"},
+    "Style": {"Points", "Squares", "Flat Squares", "Spheres", "Boxes", "Tiles"},
+    "Color Transformer": {"RGB8", "Intensity"},
+    "Position Transformer": {"XYZ"},
+    "History Policy": {"System Default", "Keep Last", "Keep All"},
+    "Reliability Policy": {"System Default", "Reliable", "Best Effort"},
+    "Durability Policy": {"System Default", "Transient Local", "Volatile"},
+}
+ORBIT = {
+    *(
+        "Class",
+        "Name",
+        "Value",
+        "Target Frame",
+        "Distance",
+        "Focal Point",
+        "Focal Shape Fixed Size",
+        "Focal Shape Size",
+    ),
+    *("Invert Z Axis", "Near Clip Distance", "Pitch", "Yaw"),
+}
+TOOLS = {"MoveCamera", "Select", "FocusCamera", "Measure"}
+
+
+def test_the_rviz_configuration_has_the_names_of_rviz() -> None:
+    """rviz takes no notice of a property that it does not know, and says nothing."""
+    content = yaml.safe_load((FILES / "rgbd_dic.rviz").read_text())["Visualization Manager"]
+    for display in content["Displays"]:
+        own, of_topic = PROPERTIES[display["Class"].removeprefix("rviz_default_plugins/")]
+        assert set(display) <= COMMON | own and set(display["Topic"]) <= of_topic, display["Name"]
+        for name, value in {**display, **display["Topic"]}.items():
+            assert name not in CHOICES or value in CHOICES[name], f"{display['Name']}: {name}"
+        if channel := display.get("Channel Name"):
+            assert channel == "behind" and display["Topic"]["Value"] == "/view/cloud"
+    assert {tool["Class"].removeprefix("rviz_default_plugins/") for tool in content["Tools"]} <= TOOLS
+    view = content["Views"]["Current"]
+    assert view["Class"] == "rviz_default_plugins/Orbit" and set(view) <= ORBIT
+    assert abs(view["Pitch"]) < np.pi / 2 - 0.001
+
+
 def free_port() -> int:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))

@@ -8,7 +8,7 @@ export const SIGMA_CLASSES = [
   {words: "none: not found", below: null, color: "none"},
 ];
 const SIZES = {
-  "distance": "Distance of the panel", "pixel": "One pixel", "between zone centres": "Between the zones' centres",
+  "distance": "Distance", "pixel": "One pixel", "between zone centres": "Between zone centres",
 };
 const COUNTS = {panel: "Panel", fixed: "Fixed region", left: "Left zone", right: "Right zone"};
 
@@ -51,9 +51,9 @@ export function showLook(look, problem, begun) {
   rows("counts", counts);
   const sizes = Object.entries(SIZES).filter(([key]) => look?.sizes_mm[key] != null).map(([key, words]) =>
     [words, `${look.sizes_mm[key].toFixed(key === "pixel" ? 3 : key === "distance" ? 0 : 1)} mm`]);
-  if (look?.u_opening_mm != null) sizes.push(["Noise of one opening, from texture", `${look.u_opening_mm.toFixed(4)} mm`]);
+  if (look?.u_opening_mm != null) sizes.push(["Noise of one opening", `${look.u_opening_mm.toFixed(4)} mm`]);
   else if (look?.u_opening_px != null)
-    sizes.push(["Noise of one opening, from texture", `${look.u_opening_px.toFixed(4)} px`]);
+    sizes.push(["Noise of one opening", `${look.u_opening_px.toFixed(4)} px`]);
   rows("sizes", sizes);
   document.getElementById("no-sizes").textContent = look?.no_sizes ? `No sizes in mm: ${look.no_sizes}.` : "";
 }
