@@ -37,7 +37,8 @@ def draw(run: Run, regions: Regions | None, folder: Path) -> list[Picture]:
             title = f"{method} at {words}, {since:.2f} s after the reference"
             if field.stamp_ns in openings:
                 title += f": opening {openings[field.stamp_ns]:.4f} mm"
-            pictures.append(_draw_field(run, regions, field, title, folder / f"maps_{method}_{label}.png"))
+            path = folder / f"maps_{method}_{label}.png"
+            pictures.append(_draw_field(run, regions, field, title, path, explained=not pictures))
     return pictures
 
 
@@ -57,7 +58,9 @@ def _words(label: str) -> str:
     return f"the frame nearest to {chosen[1]} s" if chosen else LABEL_WORDS.get(label, label)
 
 
-def _draw_field(run: Run, regions: Regions | None, field: DisplacementField, title: str, path: Path) -> Picture:
+def _draw_field(
+    run: Run, regions: Regions | None, field: DisplacementField, title: str, path: Path, explained: bool
+) -> Picture:
     sides = sides_of(regions, field)
     neither = ~np.any([side.members for side in sides], axis=0)
     shown = [0, 1] + [2] * bool(np.isfinite(field.displacement_m[:, 2]).any())
@@ -76,12 +79,16 @@ def _draw_field(run: Run, regions: Regions | None, field: DisplacementField, tit
     handles = background.legend(bool(neither.any()), bool(missing.any()))
     figure.legend(handles=handles, loc="outside lower center", ncols=5)
     names = " and of the ".join(side.name for side in sides)
-    caption = f"Displacement [mm] since the reference, camera motion removed: {title}."
-    caption += " x and y are along the axes of the panel" + (", z is into the wall." if 2 in shown else ".")
-    own = "Each side has a colour range of its own, " if len(sides) > 1 else "The colours range "
-    caption += f" {own}from the 1st to the 99th percentile, for a fixed region symmetric about zero."
-    if neither.any():
-        caption += " Grey subsets touch the crack or lie before it, and belong to neither side."
+    into_wall = " z is into the wall." if 2 in shown else ""
+    caption = f"{title}.{into_wall}"
+    if explained:
+        own = "Each side has a colour range of its own, " if len(sides) > 1 else "The colours range "
+        caption = (
+            f"Displacement [mm] since the reference, camera motion removed: {title}. x and y are along the axes of the "
+            f"panel.{into_wall} {own}from the 1st to the 99th percentile, for a fixed region symmetric about zero."
+        )
+        if neither.any():
+            caption += " Grey subsets touch the crack or lie before it, and belong to neither side."
     alt = f"Maps of the {', '.join('xyz'[axis] for axis in shown)} displacement of the {names}: {title}."
     return save(figure, path, caption, alt)
 

@@ -6,6 +6,7 @@ import base64
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from datetime import datetime, timezone
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -100,9 +101,14 @@ def _extent(methods: Sequence[Series]) -> dict[str, Any]:
     ordered = sorted(stamps)
     return {
         "frames": len(ordered),
-        "first_s": f"{ordered[0] // 10**9}.{ordered[0] % 10**9:09d}" if ordered else "",
+        "first": _clock(ordered[0]) if ordered else "",
         "duration_s": (ordered[-1] - ordered[0]) * 1e-9 if ordered else 0.0,
     }
+
+
+def _clock(stamp_ns: int) -> str:
+    day = datetime.fromtimestamp(stamp_ns // 10**9, timezone.utc)
+    return f"{day:%Y-%m-%d %H:%M:%S}.{stamp_ns % 10**9:09d} UTC"
 
 
 def _slopes(found: Sequence[Misplacement]) -> dict[str, dict[str, float]]:
