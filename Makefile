@@ -2,7 +2,7 @@
 SHELL := /bin/bash
 .DEFAULT_GOAL := help
 .PHONY: help setup setup-camera setup-tof setup-viewers build demo test test-slow test-acquisition sanitize bench
-.PHONY: bench-real live-bench validate lint format docs sample lock clean
+.PHONY: bench-real live-bench validate lint format docs figures page-cost sample lock clean
 
 run := tools/run
 
@@ -58,6 +58,10 @@ bench-real: build                ## the regression on real images alone
 live-bench: build                ## the graph live at full size: docs/live.md; FULL=1 ten minutes, QUICK=1 a short run
 	@OPENBLAS_NUM_THREADS=1 $(run) python tools/live_bench/run.py $(if $(FULL),--full) $(if $(QUICK),--quick)
 
+page-cost: build                 ## what viewers cost the graph: tables of docs/operator.md and docs/viewers.md; five minutes
+	@$(run) python tools/bench/page_cost.py
+	@$(run) python tools/bench/viewer_cost.py
+
 validate: build                  ## chapters 3 and 4 of the thesis beside ours: docs/validation_chapter*.md
 	@$(run) rgbd-dic validate chapter3
 	@$(run) rgbd-dic validate chapter4
@@ -77,6 +81,11 @@ docs: demo                       ## tables and figures of README and docs, from 
 	@$(run) python tools/docs/regenerate.py
 	@if [ -x /usr/bin/chromium ]; then $(run) python tools/docs/page_pictures.py; \
 	else echo "pictures of the operator's pages are left as they are: no /usr/bin/chromium"; fi
+
+figures: validate docs           ## every figure of the docs, anew; needs Chromium and npm
+	@rm -rf results/annotated
+	@$(run) rgbd-dic annotate results/demo/bag --out results/annotated
+	@$(run) python tools/docs/viewer_picture.py results/annotated
 
 sample: build                    ## bags/sample, anew
 	@rm -rf bags/sample
