@@ -30,7 +30,7 @@ needs_chromium = pytest.mark.skipif(
 
 
 @contextmanager
-def chromium_page(viewport: dict[str, int] = LAPTOP) -> Iterator:
+def chromium_page(viewport: dict[str, int] = LAPTOP, fingers: bool = False) -> Iterator:
     """A page whose errors, but for refused requests and lost connections, fail the test at the end."""
     from playwright.sync_api import sync_playwright
 
@@ -38,7 +38,7 @@ def chromium_page(viewport: dict[str, int] = LAPTOP) -> Iterator:
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
         try:
-            page = browser.new_page(viewport=viewport)
+            page = browser.new_page(viewport=viewport, has_touch=fingers)
             page.set_default_timeout(20_000)
             page.on("pageerror", lambda error: wrong.append(str(error)))
             page.on("console", lambda said: wrong.append(said.text) if is_wrong(said) else None)

@@ -201,6 +201,81 @@ def test_regions_are_drawn_without_a_mouse(drawn) -> None:
     np.testing.assert_allclose(corners - corners[0], [(0, 0), (300, 0), (300, 180), (0, 180)], atol=0.11)
 
 
+def test_undo_takes_back_points_while_drawing_and_then_changes(drawn) -> None:
+    page, out = drawn
+    hand, undo, redo = Hand(page), *(page.get_by_role("button", name=name, exact=True) for name in ("Undo", "Redo"))
+    assert undo.is_disabled() and redo.is_disabled()
+    hand.choose("Panel")
+    for point in [*PANEL[:2], (200, 200)]:
+        page.mouse.click(*hand.at(point))
+    undo.click()  # the last of the three points
+    for point in [*PANEL[2:], PANEL[0]]:
+        page.mouse.click(*hand.at(point))
+    np.testing.assert_allclose(hand.save(out)["panel"], PANEL, atol=0.7)
+    hand.polygon("Fixed region", FIXED)
+    listed = page.locator("#shapes-list")
+    expect(listed).to_contain_text("Fixed region")
+    page.keyboard.press("Control+z")
+    expect(listed).not_to_contain_text("Fixed region")
+    undo.click()
+    expect(listed).to_be_empty()
+    assert undo.is_disabled()
+    for _ in range(2):
+        page.keyboard.press("Control+Shift+z")
+    assert redo.is_disabled()
+    saved = hand.save(out)
+    np.testing.assert_allclose([*saved["panel"], *saved["fixed"][0]], [*PANEL, *FIXED], atol=0.7)
+
+
+def test_each_region_has_its_size_and_what_is_not_saved_is_asked_for(drawn) -> None:
+    """The panel is 350 px wide at 1.47 mm a pixel, as the sample's distance and focal length have it."""
+    page, out = drawn
+    hand, asked = Hand(page), []
+    hand.polygon("Panel", PANEL)
+    hand.polygon("Fixed region", FIXED)
+    size = page.locator("#size-panel")
+    expect(size).to_contain_text("mm")
+    width, height = (float(word) for word in re.findall(r"\d+", size.inner_text()))
+    assert width == pytest.approx(350 * 1.47, rel=0.03) and height == pytest.approx(242 * 1.47, rel=0.03)
+    expect(page.locator("#size-fixed0")).to_contain_text("mm")
+
+    def answer(dialog) -> None:
+        asked.append(dialog.type)
+        dialog.dismiss()
+
+    page.on("dialog", answer)
+    leave = "setTimeout(() => location.reload())"
+    page.evaluate(leave)
+    page.wait_for_timeout(500)
+    assert asked == ["beforeunload"]
+    hand.save(out)
+    with page.expect_navigation():
+        page.evaluate(leave)
+    assert asked == ["beforeunload"]
+
+
+def test_fingers_draw_and_zoom(bag: Path, tmp_path: Path) -> None:
+    options = ("--out", tmp_path / "regions.yaml", "--port", 0)
+    with serving("regions", bag, *options) as address, chromium_page(TABLET, fingers=True) as page:
+        page.goto(address)
+        page.wait_for_selector("#shapes g", state="attached")
+        hand = Hand(page)
+        page.get_by_role("button", name="Panel", exact=True).tap()
+        for point in [*PANEL, PANEL[0]]:
+            page.touchscreen.tap(*hand.at(point))
+        np.testing.assert_allclose(hand.save(tmp_path / "regions.yaml")["panel"], PANEL, atol=0.7)
+        session, scale = page.context.new_cdp_session(page), hand.view()[2]
+        left, right = hand.at((150, 150)), hand.at((250, 150))
+        apart = (right[0] + 0.5 * (right[0] - left[0]), right[1])
+        for kind, points in (("Start", (left, right)), ("Move", (left, apart)), ("End", ())):
+            touched = [{"x": x, "y": y, "id": number} for number, (x, y) in enumerate(points)]
+            session.send("Input.dispatchTouchEvent", {"type": f"touch{kind}", "touchPoints": touched})
+        page.wait_for_timeout(100)
+        assert hand.view()[2] == pytest.approx(1.5 * scale, rel=0.02)
+        np.testing.assert_allclose(hand.to_image(left), (150, 150), atol=1.0)
+        np.testing.assert_allclose(hand.to_image(apart), (250, 150), atol=1.0)
+
+
 def test_zoom_and_pan_keep_to_the_image(drawn) -> None:
     page, _ = drawn
     hand = Hand(page)

@@ -186,6 +186,16 @@ def test_nothing_piles_up_on_a_slow_link(served: Served) -> None:
     asyncio.run(look())
 
 
+def test_half_requests_hold_nobody_up(served: Served) -> None:
+    halves = [socket.create_connection(("127.0.0.1", served.port)) for _ in range(200)]
+    for half in halves:
+        half.sendall(b"GET /live HTTP/1.1\r\nHost: 127.0.0.1\r\n")
+    assert served.ask("/live")[0] == 200
+    for half in halves:
+        half.close()
+    assert served.ask("/live")[0] == 200
+
+
 def test_pictures_come_one_by_one(served: Served) -> None:
     assert not served.state.picture_wanted()
     grey = np.tile(np.linspace(20, 200, 40).astype(np.uint8), (30, 1))
