@@ -50,7 +50,7 @@ def printed(command: str) -> list[str]:
     if done.returncode != 0:
         raise SystemExit(f"{command}: exit code {done.returncode}\n{done.stdout}{done.stderr}")
     warnings = [line for line in re.split(r"[\r\n]", done.stderr) if line.startswith(("warning", "note"))]
-    return [*warnings, *done.stdout.rstrip().splitlines()]
+    return [*warnings, *done.stdout.replace(f"{ROOT}/", "").rstrip().splitlines()]
 
 
 def filled(block: str, running: ExitStack) -> str:

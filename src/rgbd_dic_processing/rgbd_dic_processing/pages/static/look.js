@@ -8,7 +8,7 @@ export const SIGMA_CLASSES = [
   {words: "none: not found", below: null, color: "none"},
 ];
 const SIZES = {
-  "distance": "Distance", "pixel": "One pixel", "between zone centres": "Between zone centres",
+  "distance": "Distance", "pixel": "Pixel", "between zone centres": "Zones apart",
 };
 const COUNTS = {panel: "Panel", fixed: "Fixed region", left: "Left zone", right: "Right zone"};
 
@@ -68,7 +68,7 @@ export function sizeOf(look, key) {
     const means = [0, 1].map((i) => (sides[0][i] + sides[1][i]) / 2);
     const words = (lengths) => lengths.map((length) => length.toFixed(0)).join(" × ");
     return sides[0].every((length, i) => Math.abs(length - means[i]) < 0.03 * means[i])  // but for the perspective
-      ? `each ${words(means)} mm` : `${sides.map(words).join(", ")} mm`;
+      ? `${words(means)} mm` : `${sides.map(words).join(", ")} mm`;
   }
   return known[`${key} width`] == null ? "" : `${mm(`${key} width`, `${key} height`)} mm`;
 }
@@ -87,6 +87,7 @@ function rows(id, pairs) {
   document.getElementById(id).replaceChildren(...pairs.flatMap(([name, value]) => {
     const term = document.createElement("dt"), detail = document.createElement("dd");
     term.textContent = name;
+    if (name.length > 15 || value.length > 12) term.className = "long";
     detail.textContent = value;
     return [term, detail];
   }));

@@ -191,7 +191,7 @@ async function load() {
   page.scene = await get("/regions/scene");
   const {name, width, height, subset_size, step, noise, live} = page.scene;
   $("source").textContent = `${name}, ${width} × ${height} px`;
-  $("grid").textContent = `${subset_size} px every ${step} px, image noise ${noise} grey level${noise === 1 ? "" : "s"}`;
+  $("grid").textContent = `${subset_size} px every ${step} px, noise ${noise} grey level${noise === 1 ? "" : "s"}`;
   for (const element of document.querySelectorAll(".live-only")) element.hidden = !live;
   const image = new Image();
   image.src = `/regions/image?${Date.now()}`;
