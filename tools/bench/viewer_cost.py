@@ -25,6 +25,7 @@ from process_cost import processor_s  # page_cost makes it found
 ROOT = Path(__file__).parents[2]
 sys.path += [str(ROOT / "test"), str(ROOT / "tools" / "docs")]
 PORT = 8498
+SETTLE_S, GONE_S = 6.0, 40.0  # before each measurement; after viewers that left without a word
 DEPTH_EVERY = 3  # images a depth frame
 SHOWN = (  # by the layout for Foxglove
     *("/view/image_rect", "/view/camera_info", "/view/regions", "/view/displacement", "/view/subsets", "/view/scene"),
@@ -197,7 +198,7 @@ def main() -> int:
                 viewers = [multiprocessing.Process(target=look, args=(taken,)) for look in looks]
                 for viewer in viewers:
                     viewer.start()
-                time.sleep(6.0)
+                time.sleep(SETTLE_S if looks or not rows else GONE_S)
                 before, pictures, start = [processor_s(p.pid) for p in processes], taken.value, time.monotonic()
                 time.sleep(options.seconds)
                 took = time.monotonic() - start
