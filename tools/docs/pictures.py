@@ -20,7 +20,9 @@ def small_copy(source: Path, target: Path, full_colour: bool = False) -> None:
         size = (round(full.width * scale), round(full.height * scale))
         smaller = full if scale == 1.0 else full.resize(size, Image.Resampling.LANCZOS)
         buffer = io.BytesIO()
-        (smaller if full_colour else smaller.quantize(256)).save(buffer, "PNG", optimize=True)
+        if not full_colour:
+            smaller = smaller.quantize(256, method=Image.Quantize.FASTOCTREE)  # keeps colours of small areas
+        smaller.save(buffer, "PNG", optimize=True)
         data, scale = buffer.getvalue(), scale * STEP
     target.parent.mkdir(parents=True, exist_ok=True)
     if not target.exists() or target.read_bytes() != data:
