@@ -99,8 +99,13 @@ RGBD_DIC_INLINE Floats pick(Floats low, Floats high, Ints index) {
 template <int... lane>
 RGBD_DIC_INLINE void interleave(Floats one, Floats other, Floats& first, Floats& second,
                                 std::integer_sequence<int, lane...>) {
+#if defined(__clang__) || __GNUC__ >= 12
   first = __builtin_shufflevector(one, other, (lane / 2 + lane % 2 * kWidth)...);
   second = __builtin_shufflevector(one, other, (kWidth / 2 + lane / 2 + lane % 2 * kWidth)...);
+#else
+  first = __builtin_shuffle(one, other, Ints{(lane / 2 + lane % 2 * kWidth)...});
+  second = __builtin_shuffle(one, other, Ints{(kWidth / 2 + lane / 2 + lane % 2 * kWidth)...});
+#endif
 }
 
 RGBD_DIC_INLINE void interleave(Floats one, Floats other, Floats& first, Floats& second) {
