@@ -1,6 +1,6 @@
 """Taking of serialised messages right into Python's bytes, through the C interface that rclpy itself calls.
 
-rclpy copies a message out of the middleware and then once more, into bytes. That second copy of every image was an
+rclpy copies a message out of the middleware and then once more, into bytes. That second copy of every image was a
 seventh of the recorder's processor time (docs/decisions/recorder.md).
 """
 
