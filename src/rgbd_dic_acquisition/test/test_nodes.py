@@ -425,7 +425,7 @@ def test_a_wrong_parameter_is_refused_with_the_reason(processes, node, parameter
 
 @pytest.mark.parametrize(
     ("entry", "reason"),
-    [("label", "'label' is not understood; give 'NAME COUNT'"), ("x 1", "x is not played")],
+    [("label", "'label' is not understood; give 'NAME COUNT [NODE ...]'"), ("x 1", "x is not played")],
 )
 def test_what_to_wait_for_must_be_played(processes, bag, entry, reason):
     assert reason in _finish(processes.node("player_node", bag=str(bag), wait_for_matched=[entry]), code=1)

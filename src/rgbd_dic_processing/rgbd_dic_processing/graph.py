@@ -5,7 +5,7 @@ All names are relative, so that a namespace can be pushed on them.
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import defaultdict
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -237,7 +237,7 @@ def player(
             by the clock alone.
         rate: speed; 0 is as fast as the answers come.
     """
-    expected = subscriptions(nodes)
+    expected = takers(nodes)
     return NodeSpec(
         ACQUISITION,
         "player_node",
@@ -249,15 +249,21 @@ def player(
             "rate": float(rate),
             "window": window,
             "acknowledge_topics": [f"{topic} {topic_type(topic)}" for topic in answers],
-            "wait_for_matched": [f"{topic} {expected[topic]}" for topic in topics if expected[topic]],
+            "wait_for_matched": [
+                " ".join((topic, str(len(expected[topic])), *expected[topic])) for topic in topics if expected[topic]
+            ],
         },
         follows_clock=False,
     )
 
 
-def subscriptions(nodes: list[NodeSpec]) -> Counter[str]:
-    """How many subscriptions each topic has."""
-    return Counter(topic for node in nodes for topic in node.takes)
+def takers(nodes: list[NodeSpec]) -> defaultdict[str, list[str]]:
+    """The names of the nodes that take each topic, beside those that take it only while somebody looks."""
+    found = defaultdict(list)
+    for node in nodes:
+        for topic in node.takes:
+            found[topic].append(node.node_name)
+    return found
 
 
 def topic_type(topic: str) -> str:

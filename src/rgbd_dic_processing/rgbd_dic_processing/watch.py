@@ -15,11 +15,12 @@ from rclpy.signals import SignalHandlerOptions
 from rgbd_dic_acquisition.errors import RgbdDicError
 from rgbd_dic_acquisition.nodes.diagnostics import matched_subscriptions
 from rgbd_dic_acquisition.nodes.spinning import prepare_process
+from rgbd_dic_acquisition.nodes.strangers import strangers
 
 from rgbd_dic_msgs.msg import CrackOpening as CrackOpeningMessage
 
 from .core.crack import CrackOpening
-from .graph import NodeSpec, subscriptions
+from .graph import NodeSpec, takers
 from .nodes.inputs import STREAM_DEPTH
 from .nodes.messages import crack_opening_from_message
 
@@ -79,23 +80,24 @@ class GraphWatch:
         Raises:
             RgbdDicError: if a node ends (from `check`), or it takes too long, naming what is not connected.
         """
-        expected = subscriptions(nodes)
+        expected = takers(nodes)
         for topic in self._topics.values():
-            expected[topic] += 1
-        wanted = {
-            (self._absolute(node.node_name), self._absolute(topic)): expected[topic]
-            for node in nodes
-            for topic in node.gives
-        }
+            expected[topic].append(self._node.get_name())
+        wanted = [(node.node_name, topic, expected[topic]) for node in nodes for topic in node.gives]
         deadline = time.monotonic() + CONNECT_TIMEOUT_S
-        while missing := [key for key, count in wanted.items() if self._matched.get(key, 0) < count]:
+        while missing := [(name, topic) for name, topic, known in wanted if self._lacks(name, topic, known)]:
             check()
             if time.monotonic() > deadline:
                 raise RgbdDicError(
                     f"the graph is not connected after {CONNECT_TIMEOUT_S:.0f} s: "
-                    + ", ".join(f"{node} {topic}" for node, topic in missing)
+                    + ", ".join(f"{name} {topic}" for name, topic in missing)
                 )
             self.spin(0.1)
+
+    def _lacks(self, name: str, topic: str, known: list[str]) -> bool:
+        topic = self._absolute(topic)
+        matched = self._matched.get((self._absolute(name), topic), 0)
+        return matched < len(known) + strangers(self._node, name, topic, known)
 
     def spin(self, duration_s: float) -> None:
         """Handle what arrives for a while."""

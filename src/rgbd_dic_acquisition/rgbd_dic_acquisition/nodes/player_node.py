@@ -17,6 +17,7 @@ from .diagnostics import Diagnostics, WatchedPublisher
 from .parameters import declare, declare_path
 from .played_topics import PlayedTopics
 from .spinning import run
+from .strangers import strangers
 
 STEP_S = 0.05
 
@@ -36,7 +37,9 @@ class PlayerSettings(Settings):
         30.0, doc="longest wait for an answer before the player gives up", unit="s", low=0.1, high=3600.0
     )
     wait_for_matched: tuple[str, ...] = setting(
-        (), doc="'NAME COUNT': subscriptions that a topic must have before anything is played"
+        (),
+        doc="'NAME COUNT [NODE ...]': subscriptions that a topic must have before anything is played, beside those of "
+        "nodes that are not named, if some are",
     )
     match_timeout_s: float = setting(30.0, doc="longest wait for the subscriptions", unit="s", low=0.1, high=3600.0)
     start_delay_s: float = setting(0.0, doc="pause before the first message", unit="s", low=0.0, high=3600.0)
@@ -113,17 +116,21 @@ class PlayerNode(Node):
             yield from self._pause(STEP_S)
 
     def _missing_connections(self) -> list[str]:
+        counts = [
+            (publisher, count + (strangers(self, self.get_name(), publisher.topic, nodes) if nodes else 0))
+            for publisher, count, nodes in self._needed
+        ]
         return [
             f"{publisher.topic} has {publisher.matched} of {count} subscriptions"
-            for publisher, count in self._needed
+            for publisher, count in counts
             if publisher.matched < count
         ] + [f"{topic} has no publisher" for topic in self._answers.without_publisher()]
 
-    def _parse_needed(self, entry: str) -> tuple[WatchedPublisher, int]:
-        name, _, count = entry.strip().partition(" ")
-        if not count.strip().isdecimal():
-            raise SettingsError(f"wait_for_matched: '{entry}' is not understood; give 'NAME COUNT'")
-        return self._topics.publisher(name), int(count)
+    def _parse_needed(self, entry: str) -> tuple[WatchedPublisher, int, list[str]]:
+        name, count, *nodes = [*entry.split(), "", ""][: max(2, len(entry.split()))]
+        if not count.isdecimal():
+            raise SettingsError(f"wait_for_matched: '{entry}' is not understood; give 'NAME COUNT [NODE ...]'")
+        return self._topics.publisher(name), int(count), nodes
 
     def _pause(self, duration_s: float) -> Iterator[float]:
         end = time.monotonic() + duration_s
