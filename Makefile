@@ -36,10 +36,10 @@ demo: build                      ## the sample bag through the node graph, with 
 	@$(run) rgbd-dic report results/demo
 
 test: build                      ## all tests but the slow ones
-	@$(run) python -m pytest -m "not slow" $(PYTEST_ARGS)
+	@OPENBLAS_NUM_THREADS=1 $(run) python -m pytest -m "not slow" $(PYTEST_ARGS)
 
 test-slow: build                 ## the slow tests too
-	@$(run) python -m pytest $(PYTEST_ARGS)
+	@OPENBLAS_NUM_THREADS=1 $(run) python -m pytest $(PYTEST_ARGS)
 
 test-acquisition: build         ## a flight through the real protocols, with faults, and its replay; QUICK=1
 	@$(run) python tools/acquisition/run.py $(if $(QUICK),--quick) $(ACQUISITION_ARGS)

@@ -161,7 +161,7 @@ def _flight(results: dict[str, Any]) -> Iterator[Row]:
             "at most 1.1",
             f"{ratio:.2f}",
             ratio <= 1.1,
-            "the opening's uncertainty is too small ([why](method.md#what-the-shape-costs-where-the-panel-is-flat))",
+            "the opening's uncertainty is too small",
         )
 
 

@@ -19,6 +19,7 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from threadpoolctl import threadpool_limits
 
 from ..errors import RgbdDicError
 
@@ -120,7 +121,9 @@ def _let_arrive(node: Node) -> None:
 
 
 def prepare_process() -> None:
-    """Defaults that the user's environment overrides, and an allocator that keeps the memory of images."""
+    """Defaults that the user's environment overrides, an allocator that keeps the memory of images, and no threads for
+    linear algebra."""
+    threadpool_limits(1, user_api="blas")  # a node's matrices are small: threads would but wait for each other, busily
     reach = os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     alone = reach == "LOCALHOST" and not os.environ.get("ROS_STATIC_PEERS")
     name = "fastdds_loopback.xml" if alone else "fastdds.xml"

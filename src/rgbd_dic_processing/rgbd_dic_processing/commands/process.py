@@ -11,6 +11,7 @@ from typing import Any
 from rgbd_dic_acquisition.bag import BagReader
 from rgbd_dic_acquisition.calibration import save_calibration
 from rgbd_dic_acquisition.errors import BagError
+from threadpoolctl import threadpool_limits
 
 from ..core.pipeline import Pipeline
 from ..core.regions_file import load_regions
@@ -34,6 +35,9 @@ def add_parser(commands: Any) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
+    threadpool_limits(
+        1, user_api="blas"
+    )  # the matrices are small: threads of the linear algebra would but wait, busily
     settings, methods = measurement_settings(options)
     if options.threads is not None:
         settings = replace(settings, correlation=replace(settings.correlation, threads=options.threads))

@@ -99,6 +99,12 @@ def apply_homography(H: Array, points_px: Array) -> Array:
     return homogeneous[..., :2] / np.where(w > 0, w, np.nan)
 
 
+def homography_jacobian(H: Array, points_px: Array) -> Array:
+    """(N, 2, 2), how much the images of points (N, 2) move with them."""
+    w = points_px @ H[2, :2] + H[2, 2]
+    return (H[:2, :2] - apply_homography(H, points_px)[:, :, None] * H[2, :2]) / w[:, None, None]
+
+
 def nearest_rotation(M: Array) -> Array:
     """The rotation (3, 3) nearest to M in the Frobenius norm."""
     u, _, vt = np.linalg.svd(M)

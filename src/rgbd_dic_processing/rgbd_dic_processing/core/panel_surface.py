@@ -16,7 +16,8 @@ from rgbd_dic_acquisition.calibration import Camera
 
 from .compensation.h_pose import Pose, fit_pose, pixel_jacobian, pose_jacobian
 from .curvature import Curvature, tangents
-from .geometry import Plane, pose_from_homography
+from .geometry import Plane, homography_jacobian, pose_from_homography
+from .reference_noise import REFERENCE_PART, SharedReference
 from .uncertainty import independent_modes
 
 Array = NDArray[np.float64]
@@ -110,15 +111,24 @@ class Surface:
 
 @dataclass(frozen=True)
 class ShapeEvidence:
-    """What one view tells of the shape beside motion and deformation.
+    """What one view tells of the shape beside motion and deformation, and the surface as it is known with this view.
 
-    surface: as it is known with this view. information, weighed: (6, 6), and its product with the view's own
-    `inverse_depth` (6,).
+    subsets: (M,), that it rests on, with the uncertainty of their places, sigma_px (M, 2), times the root of how many
+    see the same noise. seed: (3, 3), homography reference -> image, ideal pixels. residual_px, weights: (M, 2), of the
+    pixels that the shape, as far as it is not `before` (6,), and the r other unknowns explain. by_shape, by_others:
+    (6, M, 2) and (r, M, 2), how the pixels move with them. stiffness: (r, r), information about the others.
     """
 
     surface: Surface
-    information: Array
-    weighed: Array
+    before: Array
+    subsets: NDArray[np.intp]
+    sigma_px: Array
+    seed: Array
+    residual_px: Array
+    weights: Array
+    by_shape: Array
+    by_others: Array
+    stiffness: Array
 
 
 class SurfaceEstimate:
@@ -130,11 +140,12 @@ class SurfaceEstimate:
     """
 
     def __init__(self, camera: Camera, reference_px: Array, bow_m: float, robust_sigmas: float):
-        self._camera, self._rays, self._robust_sigmas = camera, camera.rays(reference_px), robust_sigmas
+        self._camera, self._reference_px, self._robust_sigmas = camera, reference_px, robust_sigmas
+        self._rays = camera.rays(reference_px)
         known = np.isfinite(reference_px).all(axis=1)
         self._terms = np.column_stack([self._rays, _curved(self._rays, known)])
         self._bow_m = bow_m
-        self._information, self._weighed = np.zeros((6, 6)), np.zeros(6)
+        self._views = SharedReference(reference_px, 6)
         self._latest_ns: int | None = None
 
     def surface(self, tof: Plane, bow: Curvature | None) -> Surface:
@@ -145,13 +156,13 @@ class SurfaceEstimate:
         prior = np.zeros((6, 6))
         prior[:3, :3] = np.linalg.inv(tof.inverse_depth_covariance() + accuracy)
         prior[3:, 3:] = np.eye(3) * (z2 / self._bow_m) ** 2
-        weighed = prior[:, :3] @ tof.inverse_depth + self._weighed
+        weighed = prior[:, :3] @ tof.inverse_depth + self._views.weighed
         if bow is not None:
             by_curvature = self._by_curvature(tof)
             seen = np.linalg.inv(by_curvature @ (bow.covariance + bow.systematic) @ by_curvature.T)
             prior[3:, 3:] += seen
             weighed[3:] += seen @ by_curvature @ bow.values
-        covariance = np.linalg.inv(prior + self._information)
+        covariance = np.linalg.inv(prior + self._views.information)
         mean = covariance @ weighed
         return Surface(self._camera, self._rays, self._terms, mean, covariance)
 
@@ -188,14 +199,24 @@ class SurfaceEstimate:
         now = self.surface(tof, bow)
         pose, _, weights, misfit_px = now.fit_pose(moved_px, sigma_px, fixed, seed, self._robust_sigmas)
         R, t = pose
-        residual = (moved_px - self._camera.project(now.points() @ R.T + t))[fixed].ravel()
-        by_pose, by_shape = (jacobian[:, fixed].reshape(6, -1) for jacobian in now.by_shape(pose))
-        counted = np.maximum(shared, len(fixed) / INDEPENDENT * misfit_px**2 / (sigma_px[fixed] ** 2 + misfit_px**2))
-        weights = (weights / counted).ravel()
-        onto_pose = np.linalg.solve((by_pose * weights) @ by_pose.T, (by_pose * weights) @ by_shape.T)
-        rest = by_shape - onto_pose.T @ by_pose
-        information = (rest * weights) @ rest.T
-        self._add(information, information @ now.inverse_depth + (rest * weights) @ residual)
+        residual = (moved_px - self._camera.project(now.points() @ R.T + t))[fixed]
+        by_pose, by_shape = (jacobian[:, fixed] for jacobian in now.by_shape(pose))
+        sigma, misfit = sigma_px[fixed], misfit_px**2
+        counted = np.maximum(shared, len(fixed) / INDEPENDENT * misfit / (sigma**2 + misfit))
+        weights = weights * (sigma**2 + misfit) / ((1 - REFERENCE_PART) * sigma**2 + misfit) / counted
+        told = ShapeEvidence(
+            now,
+            now.inverse_depth,
+            fixed,
+            sigma * np.sqrt(shared),
+            seed,
+            residual,
+            weights,
+            by_shape,
+            by_pose,
+            np.zeros((6, 6)),
+        )
+        self._take_in(told, 1.0)
 
     def learn_beside_deformation(self, told: ShapeEvidence, stamp_ns: int) -> None:
         """Take in a view of a region that deforms. What deforms, deforms alike in views that are near in time, so only
@@ -203,11 +224,20 @@ class SurfaceEstimate:
         passed_s = math.inf if self._latest_ns is None else abs(stamp_ns - self._latest_ns) * 1e-9
         self._latest_ns = stamp_ns
         share = min(1.0, passed_s / DEFORMS_ALIKE_S)
-        self._add(share * told.information, share * told.weighed)
+        self._take_in(told, share)
 
-    def _add(self, information: Array, weighed: Array) -> None:
-        self._information += information
-        self._weighed += weighed
+    def _take_in(self, told: ShapeEvidence, share: float) -> None:
+        """The normal equations of the shape and of the reference's noise; the other unknowns are eliminated (Schur
+        complement)."""
+        carried = homography_jacobian(told.seed, self._reference_px[told.subsets])
+        sought = np.concatenate([told.by_shape, self._views.by_error(told.subsets, carried)])
+        by_all = np.concatenate([sought, told.by_others]).reshape(len(sought) + len(told.by_others), -1)
+        weighted = by_all * told.weights.ravel()
+        matrix, right, n = weighted @ by_all.T, weighted @ told.residual_px.ravel(), len(sought)
+        onto_others = np.linalg.solve(matrix[n:, n:] + told.stiffness, matrix[n:, :n])
+        left = matrix[:n, :n] - onto_others.T @ matrix[n:, :n]
+        right = right[:n] - onto_others.T @ right[n:] + left[:, : len(told.before)] @ told.before
+        self._views.add(share * left, share * right, told.subsets, told.sigma_px**2)
 
 
 def _curved(rays: Array, known: NDArray[np.bool_]) -> Array:

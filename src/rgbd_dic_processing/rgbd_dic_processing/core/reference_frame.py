@@ -195,7 +195,7 @@ class ReferenceFrame:
         Raises:
             MeasurementError: if the motion of the fixed region cannot be estimated.
         """
-        if not next(self._shapes):
+        if field.stamp_ns == self.reference.stamp_ns or not next(self._shapes):
             return
         some = fixed[:: math.ceil(len(fixed) / SHAPING)]
         shared = overlaps(self.correlation(field), some) / len(some)
@@ -214,7 +214,8 @@ class ReferenceFrame:
         view = replace(view, reference_plane=told.surface.plane, moved_px=moved_px)
         if not self.is_shaped:
             return view, None
-        self._surface.learn_beside_deformation(told, stamp_ns)
+        if stamp_ns != self.reference.stamp_ns:
+            self._surface.learn_beside_deformation(told, stamp_ns)
         return view, told.surface
 
     def displacement(

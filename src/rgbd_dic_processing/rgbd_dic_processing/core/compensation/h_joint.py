@@ -18,7 +18,7 @@ from rgbd_dic_acquisition.errors import MeasurementError
 from ..deformation import DeformationBasis
 from ..error_sources import ErrorSource
 from ..geometry import Plane, plane_homography, pose_from_homography
-from ..panel_surface import Surface
+from ..panel_surface import ShapeEvidence, Surface
 from ..settings import CompensationSettings
 from ..uncertainty import independent_modes, linear_modes, overlaps
 from .h_pose import Pose, displaced, fit_pose, pixel_jacobian, pose_jacobian
@@ -129,10 +129,12 @@ def fit_joint(view: FrameView, settings: CompensationSettings, surface: Surface 
         variance = sigma_px**2 + misfit_px**2
         lengths = np.sqrt(np.sum(residual**2 / variance, axis=1))
         huber = np.minimum(1, settings.robust_sigmas / np.maximum(lengths, 1e-12))
-        weighted = jacobian * (huber[:, None] / variance / shared)
+        weights = huber[:, None] / variance / shared
+        weighted = jacobian * weights
         flat, flat_weighted = (each.reshape(len(jacobian), -1) for each in (jacobian, weighted))
         normal = flat_weighted @ flat.T
-        by_data = flat_weighted @ residual.ravel() + normal[:, POSE:] @ x  # for what is sought, not for its step
+        data = residual + np.tensordot(x, jacobian[POSE:], 1)  # for what is sought, not for its step
+        by_data = flat_weighted @ data.ravel()
         linear = JointProblem(normal, by_data, known, basis)
         if settling:
             strains = linear.likely_strains(strains)
@@ -145,7 +147,14 @@ def fit_joint(view: FrameView, settings: CompensationSettings, surface: Surface 
             by_deformation = (covariance @ linear.stiffness(strains) @ covariance)[:told, :told]
             by_shape = (covariance @ linear.known_before() @ covariance)[:told, :told]
             confounded = CONCENTRATED * by_deformation + by_shape
-            shape = None if surface is None else linear.evidence(strains, surface, x[:shaped], covariance)
+            shape = None
+            if surface is not None:
+                found = surface.changed(x[:shaped], covariance[POSE:told, POSE:told])
+                others = np.r_[:POSE, told : len(jacobian)]
+                stiffness = linear.stiffness(strains)[np.ix_(others, others)] / CONCENTRATED
+                seen = used, sigma_px * np.sqrt(shared), view.seed, data, weights
+                moves = jacobian[POSE:told], jacobian[others]
+                shape = ShapeEvidence(found, surface.inverse_depth, *seen, *moves, stiffness)
             nothing = np.zeros_like(confounded)
             return JointFit(
                 (R, t), used, x[shaped:], strains, gain, confounded, by_deformation, nothing, residual, misfit_px, shape

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..deformation import DeformationBasis
-from ..panel_surface import ShapeEvidence, Surface
 
 Array = NDArray[np.float64]
 
@@ -68,14 +67,3 @@ class JointProblem:
             if np.all(np.abs(strains - before) < 1e-2 * before):
                 break
         return strains
-
-    def evidence(self, strains: Array, before: Surface, change: Array, covariance: Array) -> ShapeEvidence:
-        """What the view tells of the shape: pose and deformation are eliminated (Schur complement)."""
-        problem, unknown = self.normal + self.stiffness(strains) / CONCENTRATED, np.arange(len(self.normal))
-        of_shape = (unknown >= POSE) & (unknown < POSE + len(change))
-        others = ~of_shape
-        onto_others = np.linalg.solve(problem[np.ix_(others, others)], problem[np.ix_(others, of_shape)])
-        information = problem[np.ix_(of_shape, of_shape)] - onto_others.T @ problem[np.ix_(others, of_shape)]
-        weighed = self.by_data[of_shape] - onto_others.T @ self.by_data[others]
-        found = before.changed(change, covariance[np.ix_(of_shape, of_shape)])
-        return ShapeEvidence(found, information, weighed + information @ before.inverse_depth)
