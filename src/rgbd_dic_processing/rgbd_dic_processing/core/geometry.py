@@ -63,7 +63,13 @@ class Plane:
 
 def plane_homography(camera: Camera, R: Array, t: Array, plane: Plane) -> Array:
     """H = K (R - t n^T / d) K^-1, (3, 3): ideal pixels of the source frame -> of the target (Eq. 2.3, column form)."""
-    return camera.matrix @ (R - np.outer(t, plane.normal) / plane.d) @ camera.inverse_matrix
+    return plane_homographies(camera, R, t, plane.inverse_depth)
+
+
+def plane_homographies(camera: Camera, R: Array, t: Array, pi: Array) -> Array:
+    """As `plane_homography`, of a plane by its `inverse_depth` (3,); or of several: R (k, 3, 3), t (k, 3) or pi (k, 3)
+    give (k, 3, 3)."""
+    return camera.matrix @ (R + t[..., :, None] * pi[..., None, :]) @ camera.inverse_matrix
 
 
 def pose_from_homography(camera: Camera, H: Array, plane: Plane) -> tuple[Array, Array]:
@@ -73,7 +79,7 @@ def pose_from_homography(camera: Camera, H: Array, plane: Plane) -> tuple[Array,
     R is the rotation nearest to the (noisy) result.
     """
     M = camera.inverse_matrix @ H @ camera.matrix
-    across = np.linalg.svd(plane.normal[None, :])[2][1:].T
+    across = _across(plane.normal)
     moved = M @ across
     s = np.sqrt(np.linalg.norm(moved[:, 0]) * np.linalg.norm(moved[:, 1]))
     if np.linalg.det(M) < 0:
@@ -86,15 +92,23 @@ def pose_from_homography(camera: Camera, H: Array, plane: Plane) -> tuple[Array,
     return R, t
 
 
+def _across(normal: Array) -> Array:
+    """Two unit vectors across it and each other, (3, 2)."""
+    first = _cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
+    first = first / np.sqrt(first @ first)
+    return np.column_stack([first, _cross(normal, first)])
+
+
 def _cross(a: Array, b: Array) -> Array:
     """np.cross of two vectors, without its cost."""
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
 def apply_homography(H: Array, points_px: Array) -> Array:
-    """Points (N, 2) -> (N, 2); NaN for a point that goes to infinity or behind."""
+    """Points (N, 2) -> (N, 2), or (k, N, 2) by several homographies (k, 3, 3); NaN for a point that goes to infinity or
+    behind."""
     points = np.asarray(points_px, float)
-    homogeneous = points @ H[:, :2].T + H[:, 2]
+    homogeneous = points @ np.swapaxes(H[..., :2], -1, -2) + H[..., None, :, 2]
     w = homogeneous[..., 2:]
     return homogeneous[..., :2] / np.where(w > 0, w, np.nan)
 

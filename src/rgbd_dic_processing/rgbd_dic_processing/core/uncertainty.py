@@ -52,13 +52,15 @@ def linear_modes(
         coupling: (k, N, 2), the covariance of z_m with the error of each subset's coordinates. The same noise acts on
             a subset directly and through the parameters; without this the two would be taken as independent.
     """
-    count = len(sensitivity)
-    direct = np.zeros((count, correlation.shape[0], 2))
-    direct[:, chosen] = sensitivity * sigma[chosen]
-    spread = np.stack([(correlation @ direct[:, :, axis].T).T for axis in (0, 1)], axis=-1)
-    modes = independent_modes(np.tensordot(direct, spread, axes=[(1, 2), (1, 2)]))
+    count, subsets = len(sensitivity), correlation.shape[0]
+    direct = np.zeros((subsets, 2 * count))  # of a subset all by x, then all by y
+    direct[chosen] = (sensitivity * sigma[chosen]).transpose(1, 2, 0).reshape(len(chosen), -1)
+    spread = correlation @ direct
+    products = direct[chosen].T @ spread[chosen]
+    modes = independent_modes(products[:count, :count] + products[count:, count:])
     to_unit = modes / np.sum(modes**2, axis=1, keepdims=True)
-    return modes, np.tensordot(to_unit, spread, axes=1) * np.nan_to_num(sigma)
+    coupling = spread.reshape(subsets, 2, count) @ to_unit.T * np.nan_to_num(sigma)[..., None]
+    return modes, coupling.transpose(2, 0, 1)
 
 
 def independent_modes(covariance: Array) -> Array:

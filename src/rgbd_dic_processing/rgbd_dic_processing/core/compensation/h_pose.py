@@ -6,6 +6,8 @@ way a free projective fit can, and does not see the ToF noise of single frames.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 from rgbd_dic_acquisition.calibration import Camera
@@ -13,10 +15,10 @@ from rgbd_dic_acquisition.errors import MeasurementError
 from scipy.spatial.transform import Rotation
 
 from ..error_sources import ErrorSource
-from ..geometry import Plane, plane_homography
+from ..geometry import Plane, apply_homography, plane_homographies, plane_homography
 from ..settings import CompensationSettings
 from ..uncertainty import independent_modes, linear_modes
-from .motion import Compensation, FrameView, HomographyMotion, misfit_of, reprojection_rms
+from .motion import Compensation, FrameView, HomographyMotion, misfit_variance, reprojection_rms
 
 Array = NDArray[np.float64]
 Pose = tuple[Array, Array]
@@ -47,14 +49,14 @@ def compensate(view: FrameView, settings: CompensationSettings) -> Compensation:
         )
     by_pixel = sensitivity(jacobian, weights)
     dic_modes, coupling = linear_modes(by_pixel, sigma_px, view.correlation, fixed)
-    poses = [(displaced(pose, mode), view.reference_plane) for mode in dic_modes]
-    for mode in independent_modes(view.reference_plane.inverse_depth_covariance()):
-        plane = Plane.from_inverse_depth(view.reference_plane.inverse_depth + mode)
-        seen = HomographyMotion(plane_homography(view.camera, *pose, plane)).move(view.reference_px[fixed])
-        follows = by_pixel.reshape(6, -1) @ (view.moved_px[fixed] - seen).ravel()  # the fit on it, to first order
-        poses.append((displaced(pose, follows), plane))
-    modes = tuple(HomographyMotion(plane_homography(view.camera, *moved, plane)) for moved, plane in poses)
-    sources = [ErrorSource.MOTION] * len(dic_modes) + [ErrorSource.REFERENCE_PLANE] * (len(modes) - len(dic_modes))
+    pi = view.reference_plane.inverse_depth
+    planes = pi + independent_modes(view.reference_plane.inverse_depth_covariance())
+    seen = apply_homography(plane_homographies(view.camera, *pose, planes), view.reference_px[fixed])
+    follow = (view.moved_px[fixed] - seen).reshape(len(planes), 2 * len(fixed)) @ by_pixel.reshape(6, -1).T  # the fits, to 1st order
+    poses = displaced(pose, np.concatenate([dic_modes, follow]))
+    of_poses = np.concatenate([np.broadcast_to(pi, (len(dic_modes), 3)), planes])
+    modes = tuple(HomographyMotion(moved) for moved in plane_homographies(view.camera, *poses, of_poses))
+    sources = [ErrorSource.MOTION] * len(dic_modes) + [ErrorSource.REFERENCE_PLANE] * len(planes)
     return Compensation(motion, modes, tuple(sources), coupling, residual_px, misfit_px)
 
 
@@ -83,30 +85,31 @@ def fit_pose(
     Raises:
         MeasurementError: if it does not converge.
     """
-    points = plane.points(camera.rays(source_px))
-    focal = np.array([camera.fx, camera.fy])
+    # Here all x come before all y, (2, M), and so in the rows of `by_pose`: NumPy is quickest along long rows.
+    points = np.ascontiguousarray(plane.points(camera.rays(source_px)).T)
+    focal, centre = np.array([[camera.fx], [camera.fy]]), np.array([[camera.cx], [camera.cy]])
+    target, sigma2 = np.ascontiguousarray(target_px.T), np.ascontiguousarray(sigma_px.T) ** 2
     R, t = start
-    misfit_px = 0.0
+    misfit2 = 0.0
     for iteration in range(MAX_ITERATIONS):
-        turned = points @ R.T
-        moved = turned + t
-        z = moved[:, 2]
+        turned = R @ points
+        moved = turned + t[:, None]
+        z = moved[2]
         if not np.all(z > 0):
             break
-        residual = target_px - camera.project(moved)
-        jacobian = pose_jacobian(focal, turned, moved)
+        residual = target - (focal * (moved[:2] / z) + centre)
         if iteration < MISFIT_ITERATIONS:  # pose and misfit, each following the other, may take very long
-            misfit_px = misfit_of(residual, sigma_px)
-        variance = sigma_px**2 + misfit_px**2
-        lengths = np.sqrt(np.sum(residual**2 / variance, axis=1))
-        huber = np.minimum(1, robust_sigmas / np.maximum(lengths, 1e-12))
-        weights = huber[:, None] / variance
-        by_pose = jacobian.reshape(6, -1)
+            misfit2 = misfit_variance(residual, sigma2)
+        variance = sigma2 + misfit2
+        lengths = np.sqrt(np.sum(residual**2 / variance, axis=0))
+        weights = np.minimum(1, robust_sigmas / np.maximum(lengths, 1e-12)) / variance
+        jacobian = pose_jacobian(focal[:, 0], turned.T, moved.T)
+        by_pose = jacobian.transpose(0, 2, 1).reshape(6, -1)
         weighted = by_pose * weights.ravel()
         step = np.linalg.solve(weighted @ by_pose.T, weighted @ residual.ravel())
         R, t = displaced((R, t), step)
         if np.sqrt(np.mean(np.square(step @ by_pose))) < CONVERGED_PX:
-            return (R, t), jacobian, weights, misfit_px
+            return (R, t), jacobian, weights.T, math.sqrt(misfit2)
     raise MeasurementError("the pose of the fixed region did not converge")
 
 
@@ -121,10 +124,14 @@ def pose_jacobian(focal: Array, turned: Array, moved: Array) -> Array:
     """d pixel / d (rotation vector, translation), (6, M, 2), for R <- exp(w) R, t <- t + dt."""
     (x, y, z), depth = turned.T, moved[:, 2]
     u, v = moved[:, 0] / depth, moved[:, 1] / depth
-    one, zero = np.ones_like(u), np.zeros_like(u)
-    by_u = np.stack([-u * y, z + u * x, -y, one, zero, -u])
-    by_v = np.stack([-z - v * y, v * x, x, zero, one, -v])
-    return np.stack([by_u, by_v], axis=-1) * (focal / depth[:, None])
+    by_pose = np.empty((6, 2, len(depth)))
+    by_pose[0] = -u * y, -z - v * y
+    by_pose[1] = z + u * x, v * x
+    by_pose[2] = -y, x
+    by_pose[3:5] = np.eye(2)[..., None]
+    by_pose[5] = -u, -v
+    by_pose *= focal[:, None] / depth
+    return by_pose.transpose(0, 2, 1)
 
 
 def pixel_jacobian(focal: Array, steps: Array, moved: Array) -> Array:
@@ -134,4 +141,5 @@ def pixel_jacobian(focal: Array, steps: Array, moved: Array) -> Array:
 
 
 def displaced(pose: Pose, step: Array) -> Pose:
-    return Rotation.from_rotvec(step[:3]).as_matrix() @ pose[0], pose[1] + step[3:]
+    """A pose after a step (6,), or after each of several (k, 6): R (k, 3, 3) and t (k, 3)."""
+    return Rotation.from_rotvec(step[..., :3]).as_matrix() @ pose[0], pose[1] + step[..., 3:]

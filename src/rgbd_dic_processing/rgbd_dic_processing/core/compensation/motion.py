@@ -169,11 +169,17 @@ def misfit_of(residual_px: Array, sigma_px: Array) -> float:
     more misfit, the shorter is each residual in units of its standard deviation, so the misfit that makes the median as
     long as it should be is the median of those that make each residual so long.
     """
-    squared, variance = residual_px**2, sigma_px**2
+    return math.sqrt(misfit_variance(residual_px.T, sigma_px.T**2))
+
+
+def misfit_variance(residual_px: Array, variance_px2: Array) -> float:
+    """The square of `misfit_of` [px^2], from residuals (2, M) and the variances that go with them (2, M)."""
+    squared_x, squared_y = residual_px**2
+    of_x, of_y = variance_px2
     length2 = MEDIAN_LENGTH**2
     # sum of squared / (variance + v) = length2, for v the misfit's variance: length2 v^2 + 2 half v + constant = 0
-    half = (length2 * variance.sum(axis=1) - squared.sum(axis=1)) / 2
-    constant = length2 * variance.prod(axis=1) - (squared * variance[:, ::-1]).sum(axis=1)
+    half = (length2 * (of_x + of_y) - (squared_x + squared_y)) / 2
+    constant = length2 * (of_x * of_y) - (squared_x * of_y + squared_y * of_x)
     root = (-half + np.sqrt(np.maximum(half**2 - length2 * constant, 0))) / length2
     middle = [(len(root) - 1) // 2, len(root) // 2]  # whose mean is the median
-    return math.sqrt(max(0.0, float(np.partition(root, middle)[middle].mean())))
+    return max(0.0, float(np.partition(root, middle)[middle].mean()))
