@@ -75,21 +75,22 @@ class Camera:
             return np.array(points_px, float)
         centre, focal = np.array([self.cx, self.cy]), np.array([self.fx, self.fy])
         raw = (np.asarray(points_px, float) - centre) / focal
-        distorted = np.sqrt(np.sum(raw**2, axis=-1, keepdims=True))
-        radius = distorted.copy()
+        distorted = np.sqrt(raw[..., 0] ** 2 + raw[..., 1] ** 2)
+        radius = distorted
         with np.errstate(all="ignore"):
             for _ in range(20):
-                r2, before = radius**2, radius
+                r2 = radius * radius
                 slope = 1 + r2 * (3 * self.k1 + 5 * self.k2 * r2)
-                radius = radius - (radius * (1 + r2 * (self.k1 + self.k2 * r2)) - distorted) / slope
-                if not np.any(np.abs(radius - before) > 1e-15):
+                step = (radius * (1 + r2 * (self.k1 + self.k2 * r2)) - distorted) / slope
+                radius = radius - step
+                if not np.any(np.abs(step) > 1e-9):  # what is left is of the order of its square
                     break
-            r2 = radius**2
+            r2 = radius * radius
             folded = (1 + r2 * (3 * self.k1 + 5 * self.k2 * r2)) <= 0
             residual = np.abs(radius * (1 + r2 * (self.k1 + self.k2 * r2)) - distorted)
             bad = folded | (residual > 1e-9) | (radius < 0)
             scale = np.where(distorted > 0, radius / distorted, 1.0)
-        return centre + focal * raw * np.where(bad, np.nan, scale)
+        return centre + focal * raw * np.where(bad, np.nan, scale)[..., None]
 
     def rays(self, points_px: Array) -> Array:
         """Ideal pinhole pixels (N, 2) -> directions (N, 3) in the optical frame, z = 1 (Eq. 2.1: [g_x g_y 1])."""

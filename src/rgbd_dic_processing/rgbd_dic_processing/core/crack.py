@@ -11,11 +11,10 @@ from rgbd_dic_acquisition.calibration import Camera
 from rgbd_dic_acquisition.errors import MeasurementError
 from scipy.sparse import csr_matrix
 
+from .crack_line import CrackLine
 from .crack_uncertainty import variance_parts
 from .displacement_field import DisplacementField
 from .error_sources import ErrorSource
-from .geometry import apply_homography
-from .homography import fit_homography
 from .regions import CrackZones
 from .settings import CrackSettings
 from .status import FrameStatus
@@ -23,7 +22,6 @@ from .uncertainty import overlap_correlation
 
 Array = NDArray[np.float64]
 NAN3 = np.full(3, np.nan)
-AXES_POINTS = 60  # subsets that the map from pixels to the panel is fitted to; it is exact, so a few do
 OUTLIER = 6.0  # distance from its zone's median, in robust standard deviations, beyond which a subset is left out
 
 
@@ -96,7 +94,7 @@ class CrackMeasurement:
                     len(right),
                 )
         try:
-            axes = crack_axes(self._camera, self._zones, layout.centres_px, field.position_m)
+            axes = layout.line.axes(field.position_m)
         except MeasurementError as error:
             return _invalid(field, FrameStatus.NOT_COMPENSATED, str(error), len(left), len(right))
         sides = [(left, weights[0]), (right, weights[1])]
@@ -126,7 +124,7 @@ class CrackMeasurement:
 
     def _zone_layout(self, field: DisplacementField) -> _ZoneLayout:
         if self._layout is None or not self._layout.fits(field):
-            self._layout = _ZoneLayout.of(self._zones, field)
+            self._layout = _ZoneLayout.of(self._camera, self._zones, field)
         return self._layout
 
 
@@ -136,40 +134,21 @@ class _ZoneLayout:
 
     left: NDArray[np.intp]
     right: NDArray[np.intp]
+    line: CrackLine
     centres_px: Array
     subset_px: float
     correlation: csr_matrix
 
     @classmethod
-    def of(cls, zones: CrackZones, field: DisplacementField) -> _ZoneLayout:
+    def of(cls, camera: Camera, zones: CrackZones, field: DisplacementField) -> _ZoneLayout:
         centres = field.centres_px.astype(float)
-        return cls(*zones.members(centres), centres, field.subset_px, overlap_correlation(centres, field.subset_px))
+        line = CrackLine(camera, zones, centres)
+        correlation = overlap_correlation(centres, field.subset_px)
+        return cls(*zones.members(centres), line, centres, field.subset_px, correlation)
 
     def fits(self, field: DisplacementField) -> bool:
         """Whether it is that of a field."""
         return self.subset_px == field.subset_px and np.array_equal(self.centres_px, field.centres_px)
-
-
-def crack_axes(camera: Camera, zones: CrackZones, centres_px: Array, position_m: Array) -> Array:
-    """Rows: normal to the crack and along it, in panel coordinates (2, 2).
-
-    The crack's direction in the raw image that it was drawn on becomes one on the panel by the homography from
-    ideal pixels of that image to panel coordinates, taken where the direction was given.
-
-    Args:
-        centres_px: (N, 2), of the subsets in that image. position_m: (N, 2), the same on the panel; NaN if not known.
-
-    Raises:
-        MeasurementError: if the subsets do not determine that homography.
-    """
-    known = np.flatnonzero(np.isfinite(position_m[:, 0]))
-    some = np.random.default_rng(0).permutation(known)[:AXES_POINTS]  # every so-manieth could be one column
-    to_panel = fit_homography(camera.undistort(centres_px[some]), position_m[some])
-    if to_panel is None:
-        raise MeasurementError("the direction of the crack on the panel is undetermined: too few subsets")
-    ends = apply_homography(to_panel, camera.undistort(zones.point + np.outer((-0.5, 0.5), zones.direction)))
-    along = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
-    return np.array([[along[1], -along[0]], [along[0], along[1]]])
 
 
 def steady(field: DisplacementField, zone: NDArray[np.intp]) -> NDArray[np.intp]:

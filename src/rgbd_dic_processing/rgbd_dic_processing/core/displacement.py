@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -40,6 +41,7 @@ SOLVERS = {
 
 
 NEEDS_GEOMETRY = ("h_joint", "h_3d", "pc_3d")  # methods that look at where the subsets are on the panel
+LEARNT_AGAIN = 32  # early frames, so many at most, are kept until they are learnt from: half a second at 60 Hz
 LEAST_SIGMA_PX = 1e-5  # what the DIC's iteration leaves, also where two images are the same
 
 
@@ -59,6 +61,7 @@ class DisplacementMeasurement:
         early = bool(settings.plane_lag_s) and settings.method not in NEEDS_PLANE_OF_FRAME
         self._early = EarlyFrames(round(settings.plane_lag_s * 1e9), never_waits) if early else None
         self._no_plane: NoPlane | None = None
+        self._seen_lately: deque[tuple[SubsetField, Seen]] = deque(maxlen=LEARNT_AGAIN)
 
     def set_reference(self, reference: Reference) -> list[DisplacementField]:
         """A reference was taken. Fields of it that came earlier wait for it."""
@@ -111,6 +114,15 @@ class DisplacementMeasurement:
             return _invalid(frame, self._settings.method, base, FrameStatus.NOT_COMPENSATED, str(error))
 
     def _seen(self, field: SubsetField, base: ReferenceFrame | None) -> Seen:
+        for known, seen in self._seen_lately:
+            if known is field and seen.base is base:
+                return seen
+        seen = self._look(field, base)
+        if self._early is not None:
+            self._seen_lately.append((field, seen))
+        return seen
+
+    def _look(self, field: SubsetField, base: ReferenceFrame | None) -> Seen:
         if field.status != FrameStatus.OK:
             raise _Unmeasured(field.status, field.reason)
         if base is None:

@@ -43,8 +43,8 @@ class Realignment:
 
 
 def realign_to_axis(camera: Camera, plane: Plane, axis_px: Array) -> Realignment:
-    """From two points (2, 2) of the panel's x axis in the raw reference image [px]; y follows at 90 degrees."""
-    start, end = plane.points(camera.rays(camera.undistort(axis_px)))
+    """From two points (2, 2) of the panel's x axis in ideal pixels of the reference; y follows at 90 degrees."""
+    start, end = plane.points(camera.rays(axis_px))
     x = end - start
     if not np.all(np.isfinite(x)) or np.linalg.norm(x) < 1e-6:
         raise RegionsError(f"x_axis: the points {np.asarray(axis_px).tolist()} do not lie on the panel's plane")

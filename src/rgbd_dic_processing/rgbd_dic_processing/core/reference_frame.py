@@ -15,7 +15,7 @@ from rgbd_dic_acquisition.errors import MeasurementError
 from scipy.sparse import csr_matrix
 
 from .compensation.h_pose import fit_pose, sensitivity
-from .compensation.motion import Compensation, FrameView, PanelGeometry
+from .compensation.motion import Compensation, FrameView, PanelGeometry, panel_points_of
 from .curvature import Curvature
 from .displacement_field import DisplacementField
 from .error_sources import ErrorSource
@@ -39,6 +39,7 @@ Array = NDArray[np.float64]
 SHAPED = ("h_pose", "h_joint")  # methods that are told the panel's shape
 FINDS_SHAPE = ("h_joint",)  # those of them that estimate it along with the motion
 SHAPING = 800  # subsets that the panel's shape is estimated from: they overlap, and more tell hardly more
+SPREAD = 250  # subsets that what the shape leaves open is told by: it is as smooth as the shape
 NEEDS_PLANE_OF_FRAME = ("h_3d", "pc_3d")  # as in the thesis: from the ToF frames of the two images alone
 
 
@@ -57,6 +58,9 @@ class ReferenceFrame:
         self.zones = crack.members(drawn) if crack is not None else ()
         self.right = crack.beyond(drawn) if crack is not None else np.zeros(len(drawn), bool)
         self._from_drawing = np.linalg.inv(reference.homography)
+        if regions.x_axis is not None:
+            self._x_axis_px = apply_homography(reference.homography, camera.undistort(regions.x_axis))
+        self._grid_px = _grid(self.ideal_px)
         self._step_at_reference: PlaneEstimate | None = None
         self._correlation: tuple[float, csr_matrix] | None = None
         self._planes = ReferencePlane(camera, settings.robust_sigmas)
@@ -148,10 +152,11 @@ class ReferenceFrame:
             )
             self._motion.add(frame.field.stamp_ns, pose)
             if plane is not None:
-                self._carried.add(frame.plane.stamp_ns, plane)
                 self._delay.add(frame.plane.stamp_ns, plane)
             if not carries:
                 return None
+            if plane is not None:
+                self._carried.add(frame.plane.stamp_ns, plane)
             sigma = np.zeros((len(self.ideal_px), 2))
             sigma[fixed] = np.hypot(sigma_px, misfit_px)
             modes, _ = linear_modes(sensitivity(jacobian, weights), sigma, self.correlation(frame.field), fixed)
@@ -243,13 +248,13 @@ class ReferenceFrame:
         per_x, per_y = (now(view.moved_px + shift) - moved for shift in np.eye(2))
         sigma_px = np.hypot(view.sigma_px, compensation.misfit_px)
         sigma = np.sqrt((per_x * sigma_px[:, :1]) ** 2 + (per_y * sigma_px[:, 1:]) ** 2)
-        modes, sources = _modes(compensation, realignment, self.ideal_px), list(compensation.sources)
+        modes, sources = _modes(compensation, realignment, self._grid_px), list(compensation.sources)
         if surface is not None:
-            found = np.isfinite(moved[:, 0])
-            shifts = surface.doubts_px(view.seed_pose, view.fixed)
-            errors = shifts[..., :1] * per_x + shifts[..., 1:] * per_y
-            terms = np.linalg.pinv(quadratic_terms(start[found, :2]))
-            modes = np.concatenate([modes, np.einsum("qn,knc->kcq", terms, errors[:, found])])
+            found, fixed = _spread(np.flatnonzero(np.isfinite(moved[:, 0]))), _spread(view.fixed)
+            part = surface.part(np.concatenate([fixed, found]))
+            shifts = part.doubts_px(view.seed_pose, np.arange(len(fixed)))[:, len(fixed) :]
+            errors = shifts[..., :1] * per_x[found] + shifts[..., 1:] * per_y[found]
+            modes = np.concatenate([modes, _quadratic(start[found], errors)])
             sources += [ErrorSource.SHAPE] * len(shifts)
         pi_variance = plane.normal @ plane.inverse_depth_covariance() @ plane.normal
         return DisplacementField(
@@ -290,8 +295,7 @@ class ReferenceFrame:
 
     def _realignment(self, plane: Plane) -> Realignment:
         if self.regions.x_axis is not None:
-            axis = apply_homography(self.reference.homography, self.camera.undistort(self.regions.x_axis))
-            return realign_to_axis(self.camera, plane, self.camera.distort(axis))
+            return realign_to_axis(self.camera, plane, self._x_axis_px)
         return realign_to_principal_axes(self.camera, plane, self.ideal_px[np.isfinite(self.ideal_px[:, 0])])
 
     def _step(self, frame: JoinedFrame, method: str) -> tuple[float, float]:
@@ -324,12 +328,24 @@ class ReferenceFrame:
         return means
 
 
-def _modes(compensation: Compensation, realignment: Realignment, ideal_px: Array) -> Array:
+def _modes(compensation: Compensation, realignment: Realignment, grid_px: Array) -> Array:
     """The displacement error of each mode, as a quadratic in panel coordinates: exact to first order in the error."""
-    low, high = np.nanmin(ideal_px, axis=0), np.nanmax(ideal_px, axis=0)
-    grid = np.stack(np.meshgrid(*np.linspace(low, high, 5).T), axis=-1).reshape(-1, 2)
-    seen = compensation.motion.move(grid)
+    seen = compensation.motion.move(grid_px)
     nominal = compensation.motion.panel_points(seen, realignment)
-    terms = np.linalg.pinv(quadratic_terms(nominal[:, :2]))
-    errors = [mode.panel_points(seen, realignment) - nominal for mode in compensation.modes]
-    return np.array([(terms @ error).T for error in errors]).reshape(-1, 3, 6)
+    return _quadratic(nominal, panel_points_of(compensation.modes, seen, realignment) - nominal)
+
+
+def _quadratic(points_m: Array, errors_m: Array) -> Array:
+    """(k, 3, 6), the quadratics in panel coordinates nearest to errors (k, M, 3) at points (M, 2 or more)."""
+    return np.swapaxes(np.linalg.pinv(quadratic_terms(points_m)) @ errors_m, 1, 2)
+
+
+def _grid(points_px: Array) -> Array:
+    """(25, 2), a grid over where the points are; NaN is left out."""
+    low, high = np.nanmin(points_px, axis=0), np.nanmax(points_px, axis=0)
+    return np.stack(np.meshgrid(*np.linspace(low, high, 5).T), axis=-1).reshape(-1, 2)
+
+
+def _spread(chosen: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Of subsets that lie row by row at most SPREAD, evenly taken, but not column by column."""
+    return chosen[np.linspace(0, len(chosen) - 1, min(len(chosen), SPREAD)).astype(int)]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Collection
 
 import numpy as np
@@ -16,9 +15,11 @@ from .geometry import Plane, pose_from_homography
 
 Array = NDArray[np.float64]
 Weighted = tuple[Array, Array]  # three numbers (3,), and the inverse of their covariance (3, 3)
+Several = tuple[Array, Array]  # n of them: (n, 3), (n, 3, 3)
 WeightedPlane = Weighted  # pi = n / -d
 REMEMBERED = 200  # planes that are averaged, the latest ones: ten seconds at 20 Hz
 OUTLIER = 4.0  # distance from the median, in units of what the planes scatter, beyond which one is left out
+_NONE: Several = np.zeros((0, 3)), np.zeros((0, 3, 3))
 CHI2_MEDIAN = 2.366  # median of chi^2 with three degrees of freedom
 
 
@@ -41,8 +42,7 @@ class ReferencePlane:
     def __init__(self, camera: Camera, robust_sigmas: float):
         self._camera, self._robust_sigmas = camera, robust_sigmas
         self.latest_ns: int | None = None
-        self._carried: deque[WeightedPlane] = deque(maxlen=REMEMBERED)
-        self._curvatures: deque[Weighted] = deque(maxlen=REMEMBERED)
+        self._carried, self._curvatures = _NONE, _NONE
         self.first: Plane | None = None
         self.mean: Plane | None = None
         self.first_agrees = True
@@ -82,21 +82,21 @@ class ReferencePlane:
         carried = plane.moved(R, t)
         if carried.normal[2] <= 0 or carried.d >= 0:
             raise MeasurementError("a ToF plane, carried to the reference, lies behind the camera")
-        self._carried.append(weighted(carried))
+        self._carried = _with(self._carried, weighted(carried))
         self.latest_ns = depth_stamp_ns
         if self.first is None:
             self.first = carried
-        self.mean = average_planes(self._carried)
-        median, scatter = _middle(*_stacked(self._carried))
+        middle = median, scatter = _middle(*self._carried)
+        self.mean = Plane.from_inverse_depth(*_mean(*self._carried, *middle))
         pi, weight = weighted(self.first)
         self.first_agrees = bool((pi - median) @ weight @ (pi - median) <= OUTLIER**2 * scatter)
         if curvature is not None:
             self._add_curvature(curvature.turned(plane.normal, R))
 
     def _add_curvature(self, carried: Curvature) -> None:
-        self._curvatures.append((carried.values, np.linalg.inv(carried.covariance)))
+        self._curvatures = _with(self._curvatures, (carried.values, np.linalg.inv(carried.covariance)))
         shared = carried.systematic if self.curvature is None else self.curvature.systematic
-        self.curvature = Curvature(*weighted_mean(self._curvatures), shared)
+        self.curvature = Curvature(*_mean(*self._curvatures, *_middle(*self._curvatures)), shared)
 
 
 def weighted(plane: Plane) -> WeightedPlane:
@@ -105,17 +105,22 @@ def weighted(plane: Plane) -> WeightedPlane:
 
 
 def average_planes(planes: Collection[WeightedPlane]) -> Plane:
-    """The `weighted_mean` of planes of one frame."""
-    return Plane.from_inverse_depth(*weighted_mean(planes))
-
-
-def weighted_mean(parts: Collection[Weighted]) -> tuple[Array, Array]:
-    """The mean (3,) of weighted values without those far from the median, and its covariance (3, 3).
+    """The mean of planes of one frame without those far from the median.
 
     If they scatter more than their covariances say, it is given the larger uncertainty.
     """
-    values, weights = _stacked(parts)
-    median, scatter = _middle(values, weights)
+    values, weights = np.array([value for value, _ in planes]), np.array([weight for _, weight in planes])
+    return Plane.from_inverse_depth(*_mean(values, weights, *_middle(values, weights)))
+
+
+def _with(latest: Several, one: Weighted) -> Several:
+    """The latest ones, of which there may be REMEMBERED, and one more."""
+    values, weights = (np.concatenate([before[1 - REMEMBERED :], now[None]]) for before, now in zip(latest, one, strict=True))
+    return values, weights
+
+
+def _mean(values: Array, weights: Array, median: Array, scatter: float) -> tuple[Array, Array]:
+    """The mean (3,) of weighted values, and its covariance (3, 3), as `average_planes` takes it."""
     kept = _squared(values - median, weights) <= OUTLIER**2 * scatter
     covariance = np.linalg.inv(weights[kept].sum(axis=0))
     mean = covariance @ np.einsum("nij,nj->i", weights[kept], values[kept])
@@ -123,11 +128,6 @@ def weighted_mean(parts: Collection[Weighted]) -> tuple[Array, Array]:
     if freedom:
         covariance = covariance * max(1.0, float(_squared(values[kept] - mean, weights[kept]).sum()) / freedom)
     return mean, covariance
-
-
-def _stacked(parts: Collection[Weighted]) -> tuple[Array, Array]:
-    """The values (n, 3) and the weights (n, 3, 3)."""
-    return np.array([value for value, _ in parts]), np.array([weight for _, weight in parts])
 
 
 def _middle(values: Array, weights: Array) -> tuple[Array, float]:

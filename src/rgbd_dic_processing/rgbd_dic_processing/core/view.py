@@ -12,7 +12,7 @@ from rgbd_dic_acquisition.calibration import Camera
 from rgbd_dic_acquisition.errors import MeasurementError
 
 from .carried_regions import carried_ideal
-from .crack import crack_axes
+from .crack_line import CrackLine
 from .displacement_field import DisplacementField
 from .geometry import Plane, apply_homography
 from .plane import PlaneEstimate
@@ -158,7 +158,7 @@ def _in_crack_axes(camera: Camera, regions: Regions | None, field: DisplacementF
         return nothing
     if regions is not None and regions.crack is not None:
         try:
-            axes = crack_axes(camera, regions.crack, field.centres_px.astype(float), field.position_m)
+            axes = CrackLine(camera, regions.crack, field.centres_px.astype(float)).axes(field.position_m)
         except MeasurementError:
             return nothing
     displacement = np.column_stack([field.displacement_m[:, :2] @ axes.T, field.displacement_m[:, 2]])

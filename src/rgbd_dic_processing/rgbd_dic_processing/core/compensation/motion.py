@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -128,6 +128,16 @@ class RigidMotion:
 
 
 Motion = HomographyMotion | RigidMotion
+
+
+def panel_points_of(motions: Sequence[Motion], moved_px: Array, realignment: Realignment) -> Array:
+    """`panel_points` of each (k, N, 3). Homographies are done at once, which costs a fraction."""
+    if motions and all(isinstance(motion, HomographyMotion) for motion in motions):
+        back = np.linalg.inv(np.stack([motion.homography for motion in motions]))
+        in_plane = apply_homography(realignment.homography @ back, moved_px)
+        return np.concatenate([in_plane, np.full((*in_plane.shape[:2], 1), np.nan)], axis=-1)
+    points = [motion.panel_points(moved_px, realignment) for motion in motions]
+    return np.array(points).reshape(-1, len(moved_px), 3)
 
 
 @dataclass(frozen=True)
