@@ -88,8 +88,11 @@ def depth_from_message(msg: Any) -> NDArray[np.float32]:
     """
     if msg.encoding not in ("16UC1", "mono16", "32FC1"):
         raise ImageError(f"depth encoding '{msg.encoding}' is not supported; use 16UC1 (millimetres) or 32FC1 (metres)")
-    pixels = image_from_message(msg)
-    depth = pixels * np.float32(1e-3) if pixels.dtype == np.uint16 else pixels
+    depth = image_from_message(msg)
+    if depth.dtype == np.uint16:
+        metres = depth * np.float32(1e-3)
+        metres[depth == 0] = np.nan
+        return metres
     return np.where(np.isfinite(depth) & (depth > 0), depth, np.float32(np.nan)).astype(np.float32)
 
 

@@ -30,12 +30,13 @@ class RenewalNeed:
 
         That is so when enough images in a row have asked for it, and this one is not among the poorer half of them.
         """
-        if not self._settings.after_frames or not found.correlation.valid.any():
+        valid = found.correlation.valid
+        if not self._settings.after_frames or not valid.any():
             return False
-        zncc = float(np.median(found.correlation.zncc[found.correlation.valid]))
+        zncc = float(np.median(found.correlation.zncc[valid]))
         self._best_zncc = max(self._best_zncc, zncc)
         fading = zncc < self._best_zncc - self._settings.zncc_drop
-        stretched = stretch(found.jacobian[found.correlation.valid].mean(axis=0)) > self._settings.max_stretch
+        stretched = stretch(found.jacobian[valid].mean(axis=0)) > self._settings.max_stretch
         if not (fading or stretched):
             self._asking.clear()
             return False

@@ -195,7 +195,7 @@ class SubsetSearch:
         Points that are NaN are left out. None if it rests on too few, or does not hold for all subsets.
         """
         moved = self._camera.undistort(moved_px)
-        found = np.isfinite(moved).all(axis=1) & np.isfinite(ideal_px).all(axis=1)
+        found = np.isfinite(moved + ideal_px).all(axis=1)
         if found.sum() < LEAST_AGREEING:
             return None, 0
         homography, inliers = cv2.findHomography(

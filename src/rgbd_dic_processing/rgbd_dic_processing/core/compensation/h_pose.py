@@ -18,7 +18,7 @@ from ..error_sources import ErrorSource
 from ..geometry import Plane, apply_homography, plane_homographies, plane_homography
 from ..settings import CompensationSettings
 from ..uncertainty import independent_modes, linear_modes
-from .motion import Compensation, FrameView, HomographyMotion, misfit_variance, reprojection_rms
+from .motion import Compensation, FrameView, HomographyMotion, misfit_variance
 
 Array = NDArray[np.float64]
 Pose = tuple[Array, Array]
@@ -35,13 +35,14 @@ def compensate(view: FrameView, settings: CompensationSettings) -> Compensation:
         MeasurementError: if the iteration does not converge or the fixed region does not move like a plane.
     """
     fixed = view.fixed
-    data = (view.camera, view.reference_px[fixed], view.moved_px[fixed], view.sigma_px[fixed])
+    source, target = view.reference_px[fixed], view.moved_px[fixed]
+    data = (view.camera, source, target, view.sigma_px[fixed])
     pose, jacobian, weights, misfit_px = fit_pose(*data, view.reference_plane, view.seed_pose, settings.robust_sigmas)
     motion = HomographyMotion(plane_homography(view.camera, *pose, view.reference_plane))
     sigma_px = np.hypot(view.sigma_px, misfit_px)
-    residual = view.moved_px[fixed] - motion.move(view.reference_px[fixed])
-    agreeing = np.linalg.norm(residual / sigma_px[fixed], axis=1) <= 3 * settings.robust_sigmas
-    residual_px = reprojection_rms(motion, view, fixed[agreeing]) if agreeing.any() else np.inf
+    squared = (target - motion.move(source)) ** 2
+    agreeing = np.sum(squared / sigma_px[fixed] ** 2, axis=1) <= (3 * settings.robust_sigmas) ** 2
+    residual_px = np.sqrt(squared[agreeing].sum() / agreeing.sum()) if agreeing.any() else np.inf
     if residual_px > settings.inlier_px or agreeing.sum() < settings.min_subsets:
         raise MeasurementError(
             f"h_pose: the fixed region moves unlike a rigid plane (residual {residual_px:.2f} px RMS, "
@@ -51,13 +52,13 @@ def compensate(view: FrameView, settings: CompensationSettings) -> Compensation:
     dic_modes, coupling = linear_modes(by_pixel, sigma_px, view.correlation, fixed)
     pi = view.reference_plane.inverse_depth
     planes = pi + independent_modes(view.reference_plane.inverse_depth_covariance())
-    seen = apply_homography(plane_homographies(view.camera, *pose, planes), view.reference_px[fixed])
-    follow = (view.moved_px[fixed] - seen).reshape(len(planes), 2 * len(fixed)) @ by_pixel.reshape(6, -1).T  # the fits, to 1st order
+    seen = apply_homography(plane_homographies(view.camera, *pose, planes), source)
+    follow = (target - seen).reshape(len(planes), 2 * len(fixed)) @ by_pixel.reshape(6, -1).T  # the fits, to 1st order
     poses = displaced(pose, np.concatenate([dic_modes, follow]))
     of_poses = np.concatenate([np.broadcast_to(pi, (len(dic_modes), 3)), planes])
     modes = tuple(HomographyMotion(moved) for moved in plane_homographies(view.camera, *poses, of_poses))
     sources = [ErrorSource.MOTION] * len(dic_modes) + [ErrorSource.REFERENCE_PLANE] * len(planes)
-    return Compensation(motion, modes, tuple(sources), coupling, residual_px, misfit_px)
+    return Compensation(motion, modes, tuple(sources), coupling, float(residual_px), misfit_px)
 
 
 def fit_pose(
