@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from rgbd_dic_acquisition.calibration import Camera
 from rgbd_dic_processing.core import geometry
+from rgbd_dic_processing.core.compensation.h_pose import displaced, pose_jacobian
+from rgbd_dic_processing.core.compensation.motion import HomographyMotion, panel_points_of
 from rgbd_dic_processing.core.geometry import Plane, apply_homography, plane_homography
 from rgbd_dic_processing.core.homography import fit_homography
 from rgbd_dic_processing.core.realignment import realign_to_axis, realign_to_principal_axes
@@ -36,6 +38,31 @@ def test_plane_homography_moves_points_of_the_plane(seed: int) -> None:
     np.testing.assert_allclose(CAMERA.project(points), POINTS, atol=1e-9)
     moved = apply_homography(plane_homography(CAMERA, R, t, plane), POINTS)
     np.testing.assert_allclose(moved, CAMERA.project(points @ R.T + t), atol=1e-9)
+
+
+def test_several_homographies_at_once() -> None:
+    motions, planes = [random_motion(seed) for seed in range(4)], [random_plane(seed) for seed in range(4)]
+    R, t = (np.array(values) for values in zip(*motions, strict=True))
+    every = geometry.plane_homographies(CAMERA, R, t, np.array([plane.inverse_depth for plane in planes]))
+    moved = apply_homography(every, POINTS)
+    assert moved.shape == (4, len(POINTS), 2)
+    realignment = realign_to_principal_axes(CAMERA, planes[0], POINTS)
+    on_panel = panel_points_of([HomographyMotion(H) for H in every], POINTS, realignment)
+    for k, (motion, plane) in enumerate(zip(motions, planes, strict=True)):
+        alone = plane_homography(CAMERA, *motion, plane)
+        np.testing.assert_allclose(every[k], alone, rtol=1e-13, atol=1e-13)
+        np.testing.assert_allclose(moved[k], apply_homography(alone, POINTS), rtol=1e-12)
+        np.testing.assert_allclose(on_panel[k], HomographyMotion(alone).panel_points(POINTS, realignment), atol=1e-12)
+
+
+def test_pose_jacobian_by_differences() -> None:
+    """To 1e-5 px for a step of 1: what central differences of 1e-5 leave is of the order of its square."""
+    (R, t), focal = random_motion(1), np.array([CAMERA.fx, CAMERA.fy])
+    points = random_plane(1).points(CAMERA.rays(POINTS))
+    jacobian = pose_jacobian(focal, points @ R.T, points @ R.T + t)
+    poses = [displaced((R, t), sign * 1e-5 * np.eye(6)) for sign in (1, -1)]
+    ahead, behind = (CAMERA.project(points @ np.swapaxes(R, 1, 2) + t[:, None]) for R, t in poses)
+    np.testing.assert_allclose(jacobian, (ahead - behind) / 2e-5, atol=1e-5)
 
 
 @pytest.mark.parametrize("scale", [1.0, -3.7])

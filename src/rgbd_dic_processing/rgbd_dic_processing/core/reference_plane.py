@@ -115,7 +115,9 @@ def average_planes(planes: Collection[WeightedPlane]) -> Plane:
 
 def _with(latest: Several, one: Weighted) -> Several:
     """The latest ones, of which there may be REMEMBERED, and one more."""
-    values, weights = (np.concatenate([before[1 - REMEMBERED :], now[None]]) for before, now in zip(latest, one, strict=True))
+    values, weights = (
+        np.concatenate([before[1 - REMEMBERED :], now[None]]) for before, now in zip(latest, one, strict=True)
+    )
     return values, weights
 
 
