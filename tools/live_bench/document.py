@@ -191,8 +191,8 @@ At 60 Hz, {results["machine"]["cores"]} cores have {budget:.1f} ms for each imag
 together took {" and ".join(per_opening)} for each opening. What is more than the table says does not go with the
 openings but with the images, measured or not: the recorder, what stands for the sensors, and the middleware, which
 copies each image to dic_node and to the recorder. So the more images are measured, the less each opening costs; and
-images that follow closely are found with fewer iterations. An event of rclpy costs about 0.3 ms, whatever it brings: that is most of what
-pairing_node takes, which hears 180 a second. Messages of 1,500 subsets cost 0.1 ms in all; they
+images that follow closely are found with fewer iterations. An event of rclpy costs about 0.3 ms, whatever it brings:
+that is most of what pairing_node takes, which hears 180 a second. Messages of 1,500 subsets cost 0.1 ms in all; they
 are made from and read into NumPy arrays without a loop."""
 
 
