@@ -197,11 +197,12 @@ class SurfaceEstimate:
             MeasurementError: if the motion of the fixed region cannot be estimated.
         """
         now = self.surface(tof, bow)
-        pose, _, weights, misfit_px = now.fit_pose(moved_px, sigma_px, fixed, seed, self._robust_sigmas)
+        region, seen, sigma, every = now.part(fixed), moved_px[fixed], sigma_px[fixed], np.arange(len(fixed))
+        pose, _, weights, misfit_px = region.fit_pose(seen, sigma, every, seed, self._robust_sigmas)
         R, t = pose
-        residual = (moved_px - self._camera.project(now.points() @ R.T + t))[fixed]
-        by_pose, by_shape = (jacobian[:, fixed] for jacobian in now.by_shape(pose))
-        sigma, misfit = sigma_px[fixed], misfit_px**2
+        residual = seen - self._camera.project(region.points() @ R.T + t)
+        by_pose, by_shape = region.by_shape(pose)
+        misfit = misfit_px**2
         counted = np.maximum(shared, len(fixed) / INDEPENDENT * misfit / (sigma**2 + misfit))
         weights = weights * (sigma**2 + misfit) / ((1 - REFERENCE_PART) * sigma**2 + misfit) / counted
         told = ShapeEvidence(
