@@ -160,7 +160,7 @@ of the main case:
 
 {table(("process", "first quarter [MB]", "last quarter [MB]"), memories)}
 
-What grows there is warm-up. compensation_node looks for a delay between the sensors' clocks every 300 images, in the
+What grows there is warm-up. compensation_node looks for a delay between the sensors' clocks now and then, in the
 latest 600 ToF frames and 1,800 images: its memory grows by some 10 MB until it has so many, half a minute at full rate
 and longer below it, and then stays. recorder_node keeps the memory of the most that ever waited for
 the disk (`buffer_mb` at most), and some 70 kB a second of index until a file of the bag is full."""

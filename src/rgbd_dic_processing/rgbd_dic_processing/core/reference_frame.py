@@ -238,14 +238,12 @@ class ReferenceFrame:
         motion = compensation.motion
         start = motion.reference_points(self.ideal_px, realignment)
 
-        def now(points_px: Array) -> Array:
-            return motion.panel_points(points_px, realignment)
-
-        moved = now(view.moved_px)
+        shifted = np.concatenate([view.moved_px + shift for shift in np.array([(0, 0), (1, 0), (0, 1)])])
+        moved, by_x, by_y = np.split(motion.panel_points(shifted, realignment), 3)
         step_m, u_step_m = self._step(frame, method)
         displacement_m = moved - start
         displacement_m[self.right, 2] += step_m
-        per_x, per_y = (now(view.moved_px + shift) - moved for shift in np.eye(2))
+        per_x, per_y = by_x - moved, by_y - moved
         sigma_px = np.hypot(view.sigma_px, compensation.misfit_px)
         sigma = np.sqrt((per_x * sigma_px[:, :1]) ** 2 + (per_y * sigma_px[:, 1:]) ** 2)
         modes, sources = _modes(compensation, realignment, self._grid_px), list(compensation.sources)

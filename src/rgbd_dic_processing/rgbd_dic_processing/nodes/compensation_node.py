@@ -30,7 +30,9 @@ from .messages import (
     subset_field_from_message,
 )
 
-DELAY_EVERY = 300  # frames after which the delay between the sensors' clocks is estimated again
+# Frames after which the delay between the sensors' clocks is estimated, which takes longer than an image at 60 Hz:
+# first after the fewest, then after as many again as there were, at last after the most. The delay does not change.
+FEWEST, MOST = 300, 1800
 
 
 class CompensationNode(Node):
@@ -43,7 +45,7 @@ class CompensationNode(Node):
             self.create_publisher(DisplacementFieldMessage, "displacement_field", STREAM_DEPTH)
         )
         self._step: DisplacementMeasurement | None = None
-        self._frames, self._delay_warning = 0, ""
+        self._frames, self._look_at, self._delay_warning = 0, FEWEST, ""
         self._keep_up = KeepUp(self, self.diagnostics)
         self.work = self._keep_up.work
         self._camera = CameraInput(self, self.diagnostics, sensor_qos(self), self._start)
@@ -79,7 +81,8 @@ class CompensationNode(Node):
     def _publish(self, fields: list[DisplacementField]) -> None:
         for field in fields:
             self._frames += 1
-            if self._frames % DELAY_EVERY == 0:
+            if self._frames >= self._look_at:
+                self._look_at += min(self._frames, MOST)
                 self._look_at_delay()
             self.diagnostics.count("frames")
             if field.status != FrameStatus.OK:
