@@ -27,7 +27,7 @@ from rgbd_dic_acquisition.message_types import know_type, typestore
 from rgbd_dic_acquisition.messages import stamp_to_ns
 from rgbd_dic_processing.core.regions_file import load_regions
 from rgbd_dic_processing.graph import TYPES
-from rgbd_dic_processing.view_topics import VIEW_TYPES
+from rgbd_dic_processing.view_topics import PREVIEWED_FIELD, VIEW_TYPES
 from rosbags.interfaces import Nodetype
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CompressedImage
@@ -353,3 +353,55 @@ def test_a_topic_is_heard_only_while_it_is_shown_and_a_slow_viewer_misses_messag
     assert numbers == sorted(numbers)
     assert numbers[-1] > 290
     assert 8 <= len(numbers) < 80
+
+
+LOOKER = """
+import rclpy
+from sensor_msgs.msg import Image
+rclpy.init()
+node = rclpy.create_node("looker")
+node.create_subscription(Image, "view/image_rect", lambda message: print(message.header.stamp.sec, flush=True), 5)
+rclpy.spin(node)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(250)
+def test_a_viewer_that_vanished_is_not_worked_for_and_may_come_back(tmp_path: Path) -> None:
+    """A stopped process is what a lost connection looks like: nothing is said, nothing is confirmed.
+
+    It would be matched until its lease of 20 s is over; long before, nothing is heard for it any more.
+    """
+    domain = 90
+    command = ["rgbd-dic", "up", SAMPLE, "--rate", "0.15", "--domain", domain, "--out", tmp_path / "run"]
+    graph = subprocess.Popen(list(map(str, command)), env=environment(), stdout=subprocess.DEVNULL)
+    here = {**environment(), "ROS_DOMAIN_ID": str(domain)}
+    path = Path(get_package_prefix("rgbd_dic_processing"), "lib/rgbd_dic_processing/viewer_node")
+    calibration = f"calibration_file:={SAMPLE / 'calibration.yaml'}"
+    viewer = subprocess.Popen([str(path), "--ros-args", "-p", calibration], env=here)
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=domain)
+    node = rclpy.create_node("onlooker", context=context)
+
+    def until_heard_by(count: int, timeout_s: float) -> bool:
+        deadline = time.monotonic() + timeout_s
+        while node.count_subscribers(PREVIEWED_FIELD) != count and time.monotonic() < deadline:
+            time.sleep(0.1)
+        return node.count_subscribers(PREVIEWED_FIELD) == count
+
+    looker = subprocess.Popen([sys.executable, "-c", LOOKER], env=here, stdout=subprocess.PIPE)
+    try:
+        assert looker.stdout.readline()  # it sees pictures
+        assert until_heard_by(1, 20)
+        looker.send_signal(signal.SIGSTOP)
+        assert until_heard_by(0, 15)
+        looker.send_signal(signal.SIGCONT)
+        assert until_heard_by(1, 40)
+    finally:
+        looker.kill()
+        viewer.terminate()
+        viewer.wait(20)
+        graph.send_signal(signal.SIGINT)
+        graph.wait(60)
+        node.destroy_node()
+        rclpy.shutdown(context=context)

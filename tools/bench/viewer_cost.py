@@ -25,7 +25,7 @@ from process_cost import processor_s  # page_cost makes it found
 ROOT = Path(__file__).parents[2]
 sys.path += [str(ROOT / "test"), str(ROOT / "tools" / "docs")]
 PORT = 8498
-SETTLE_S, GONE_S = 6.0, 40.0  # before each measurement; after viewers that left without a word
+SETTLE_S, GONE_S = 6.0, 5.0  # before each measurement; after viewers that left without a word
 DEPTH_EVERY = 3  # images a depth frame
 SHOWN = (  # by the layout for Foxglove
     *("/view/image_rect", "/view/camera_info", "/view/regions", "/view/displacement", "/view/subsets", "/view/scene"),
@@ -36,11 +36,12 @@ SHOWN = (  # by the layout for Foxglove
 def publish(calibration_path: Path) -> None:
     """The graph's part, until it is ended."""
     import rclpy
+    from rclpy.experimental.events_executor import EventsExecutor
     from rclpy.signals import SignalHandlerOptions
     from rgbd_dic_acquisition.calibration import load_calibration
     from rgbd_dic_acquisition.messages import depth_message, image_message
     from rgbd_dic_acquisition.nodes.ros_messages import latched_qos, make
-    from rgbd_dic_acquisition.nodes.spinning import prepare_process
+    from rgbd_dic_acquisition.nodes.spinning import prepare_process, spin
     from rgbd_dic_processing.core.crack import CrackOpening
     from rgbd_dic_processing.core.displacement_field import DisplacementField
     from rgbd_dic_processing.core.geometry import Plane
@@ -55,7 +56,7 @@ def publish(calibration_path: Path) -> None:
         plane_message,
         reference_message,
     )
-    from rgbd_dic_processing.nodes.preview import PreviewOutput, PreviewSettings
+    from rgbd_dic_processing.nodes.preview import PreviewedFields, PreviewOutput, PreviewSettings
     from scipy.ndimage import gaussian_filter
     from sensor_msgs.msg import Image
 
@@ -86,7 +87,9 @@ def publish(calibration_path: Path) -> None:
     depth = (2.0 + 0.005 * rng.standard_normal((480, 640))).astype(np.float32)
     small = np.zeros(SUBSETS, np.uint8)
     sigma = np.full((SUBSETS, 3), 2e-6, np.float32)
-    preview = PreviewOutput(node, PreviewSettings())
+    preview, previewed = PreviewOutput(node, PreviewSettings()), PreviewedFields(node)
+    executor = EventsExecutor()
+    executor.add_node(node)
     number, next_s = 0, time.monotonic()
     while rclpy.ok():
         stamp_ns = time.time_ns()
@@ -105,13 +108,16 @@ def publish(calibration_path: Path) -> None:
             *(centres.astype(np.float32), position, displacement, sigma),
             *(np.zeros((6, 3, 6)), np.zeros(6, np.uint8), np.zeros((6, 2, 3)), 0.0, np.nan, 0.01),
         )
-        outputs["displacement_field"].publish(displacement_field_message(make, field))
+        message = displacement_field_message(make, field)
+        outputs["displacement_field"].publish(message)
+        previewed.offer(message)
         opening = CrackOpening(
             *(stamp_ns, 1, "h_pose", FrameStatus.OK, "", 1e-4, 0.0, np.nan, 1e-4, 4e-6, 4e-6, np.nan, 4e-6, 70, 70, 0.0)
         )
         outputs["crack_opening"].publish(crack_opening_message(make, opening))
         number += 1
         next_s += 1 / RATE_HZ
+        spin(executor, 0.0)
         time.sleep(max(0.0, next_s - time.monotonic()))
 
 

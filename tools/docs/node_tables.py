@@ -48,8 +48,8 @@ SHOWN = {  # of nodes that have no subscription while nobody looks
     "viewer_node": {
         "_preview": ("rgbd_dic_msgs/Preview", "best effort, keep 1"),
         "reference": ("rgbd_dic_msgs/Reference", "reliable, latched"),
-        "displacement_field": ("rgbd_dic_msgs/DisplacementField", "best effort, keep 20"),
-        "crack_opening": ("rgbd_dic_msgs/CrackOpening", "best effort, keep 100"),
+        "_previewed_field": ("rgbd_dic_msgs/DisplacementField", "best effort, keep 1"),
+        "crack_opening": ("rgbd_dic_msgs/CrackOpening", "best effort, keep 300"),
         "plane": ("rgbd_dic_msgs/PlaneStamped", "best effort, keep 20"),
         "tof/depth/image_raw": ("sensor_msgs/Image", "best effort, keep 1"),
         "tof/points": ("sensor_msgs/PointCloud2", "best effort, keep 1"),

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from .core.settings import ProcessingSettings
-from .view_topics import VIEW_TYPES
+from .view_topics import PREVIEWED_FIELD, VIEW_TYPES
 
 ACQUISITION, PROCESSING = "rgbd_dic_acquisition", "rgbd_dic_processing"
 
@@ -136,7 +136,8 @@ def processing_nodes(
     ]
     for index, method in enumerate(methods):
         suffix = f"_{method}" if index else ""
-        moved = {topic: f"{method}/{topic}" for topic in ("displacement_field", "crack_opening")} if index else {}
+        named = ("displacement_field", "crack_opening", PREVIEWED_FIELD)
+        moved = {topic: f"{method}/{topic}" for topic in named} if index else {}
         displacement, opening = (moved.get(t, t) for t in ("displacement_field", "crack_opening"))
         nodes += [
             NodeSpec(

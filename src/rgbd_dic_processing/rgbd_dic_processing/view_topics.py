@@ -1,4 +1,4 @@
-"""What viewer_node gives: topic -> type."""
+"""What viewer_node gives: topic -> type; and what compensation_node gives it alone."""
 
 VIEW_TYPES = {
     "view/image_rect": "sensor_msgs/msg/Image",
@@ -10,3 +10,5 @@ VIEW_TYPES = {
     "view/opening": "rgbd_dic_msgs/msg/OpeningBand",
     "view/cloud": "sensor_msgs/msg/PointCloud2",
 }
+
+PREVIEWED_FIELD = "_previewed_field"  # hidden: no recorder takes it for a part of the measurement

@@ -132,7 +132,26 @@ def test_viewers_see_the_same_and_too_many_are_refused(served: Served) -> None:
     deadline = time.monotonic() + 5
     while served.state.surroundings()["viewers"] and time.monotonic() < deadline:
         time.sleep(0.02)
-    assert not served.state.watched(linger_s=0.0)
+
+
+def test_a_viewer_that_says_nothing_more_is_not_looked_after(served: Served) -> None:
+    """Its connection may be lost long before anybody is told; when it goes on after all, it is there again."""
+    assert not served.state.watched(linger_s=0.5)
+
+    async def look() -> None:
+        async with aiohttp.ClientSession() as session:
+            viewer = await session.ws_connect(f"{served.address}live/numbers")
+            await viewer.receive_json()
+            assert served.state.watched(linger_s=0.5)
+            await asyncio.sleep(0.6)
+            assert served.state.surroundings()["viewers"] == 1
+            assert not served.state.watched(linger_s=0.5)
+            await viewer.send_str("")
+            await viewer.receive_json()
+            assert served.state.watched(linger_s=0.5)
+            await viewer.close()
+
+    asyncio.run(look())
 
 
 def test_a_viewer_that_reads_nothing_holds_nobody_up(served: Served) -> None:

@@ -157,7 +157,7 @@ def test_the_nearest_plane() -> None:
 
 
 def test_parts_of_one_image_are_put_together_in_any_order() -> None:
-    together = SameStamp("picture", "field", "opening", early=2, late=2)
+    together = SameStamp("picture", {"field": 1, "opening": 2}, late=2)
     assert together.add("field", 1, "f1") is None
     assert together.add("picture", 1, "p1") is None
     assert together.add("opening", 2, "o2") is None

@@ -9,6 +9,7 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
 from rclpy.node import Node
 
 MATCHED = "matched subscriptions"
@@ -40,6 +41,10 @@ class WatchedPublisher:
     def matched(self) -> int:
         """How many subscriptions the publisher is connected to, those in this process that are called among them."""
         return self._publisher.get_subscription_count() + len(self._receivers)
+
+    def confirmed(self) -> bool:
+        """Whether all reliable subscriptions have what was published and is still kept for them."""
+        return self._publisher.wait_for_all_acked(Duration(seconds=0))
 
     def hand_to(self, receive: Callable[[Any], None]) -> None:
         """Call this, too, with each message that is published from now on."""

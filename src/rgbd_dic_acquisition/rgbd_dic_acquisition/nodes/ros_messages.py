@@ -79,12 +79,18 @@ def message_class(typename: str) -> type:
 
 def make(typename: str, **fields: Any) -> Any:
     """A message of the named type with these fields; arrays may be ndarrays of any numeric type."""
-    cls = message_class(typename)
-    types = cls.get_fields_and_field_types()
+    cls, types = message_class(typename), _field_types(typename)
     return cls(**{name: _field(types.get(name, ""), value) for name, value in fields.items()})
 
 
+@cache
+def _field_types(typename: str) -> dict[str, str]:
+    return message_class(typename).get_fields_and_field_types()  # makes a copy each time
+
+
 def _field(kind: str, value: Any) -> Any:
+    if type(value) is float:
+        return value
     if isinstance(value, np.generic):
         return value.item()
     if not isinstance(value, np.ndarray):

@@ -97,7 +97,7 @@ class Annotation:
     def __init__(self, bag: BagReader, out: BagWriter, viewer: Viewer):
         self._bag, self._out, self._viewer = bag, out, viewer
         self._due_ns = 0
-        self._together = SameStamp("image", "subsets", "field", "opening", late=256)
+        self._together = SameStamp("image", dict.fromkeys(("subsets", "field", "opening"), 8), late=256)
         self._depth: tuple[str, bytes] | None = None
         self.shown = 0
         for topic, kind in VIEW_TYPES.items():

@@ -29,6 +29,7 @@ from .messages import (
     reference_from_message,
     subset_field_from_message,
 )
+from .preview import PreviewedFields
 
 # Frames after which the delay between the sensors' clocks is estimated, which takes longer than an image at 60 Hz:
 # first after the fewest, then after as many again as there were, at last after the most. The delay does not change.
@@ -44,6 +45,7 @@ class CompensationNode(Node):
         self._output = self.diagnostics.watch(
             self.create_publisher(DisplacementFieldMessage, "displacement_field", STREAM_DEPTH)
         )
+        self._previewed = PreviewedFields(self)
         self._step: DisplacementMeasurement | None = None
         self._frames, self._look_at, self._delay_warning = 0, FEWEST, ""
         self._keep_up = KeepUp(self, self.diagnostics)
@@ -91,7 +93,9 @@ class CompensationNode(Node):
                 self.diagnostics.warn(wrong)
             else:
                 self.diagnostics.ok()
-            self._output.publish(displacement_field_message(make, field))
+            message = displacement_field_message(make, field)
+            self._output.publish(message)
+            self._previewed.offer(message)
 
 
 def main() -> int:

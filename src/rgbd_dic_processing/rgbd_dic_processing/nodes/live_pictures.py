@@ -30,9 +30,9 @@ class LivePictures:
         self.regions: Regions | None = None
         self.camera: Camera | None = None
 
-    def turn(self) -> None:
-        """Called often: listen or not."""
-        wanted = self._state.picture_wanted()
+    def turn(self, watched: bool) -> None:
+        """Called often: listen or not, by whether anybody looks."""
+        wanted = watched and self._state.picture_wanted()
         if wanted and self._previews is None:
             self._previews = self._node.create_subscription(Preview, TOPIC, self._preview, preview_qos())
         elif not wanted and self._previews is not None:

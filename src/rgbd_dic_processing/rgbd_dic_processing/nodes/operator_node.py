@@ -87,7 +87,7 @@ class OperatorNode(Node):
             for message in self._openings.taken():
                 self._state.add_opening(crack_opening_from_message(message))
             self._history.turn()
-            self._pictures.turn()
+            self._pictures.turn(watched)
             self._orders.turn()
             if watched and time.monotonic() >= self._offers_due_s:
                 self._offers_due_s = time.monotonic() + OFFERS_S

@@ -23,7 +23,8 @@ from sensor_msgs.msg import Image, PointCloud2
 
 from rgbd_dic_msgs.msg import CrackOpening, DisplacementField, PlaneStamped, Preview, Reference
 
-from ..view_topics import VIEW_TYPES
+from ..view_topics import PREVIEWED_FIELD, VIEW_TYPES
+from .attended import Attended
 from .messages import (
     crack_opening_from_message,
     displacement_field_from_message,
@@ -32,13 +33,16 @@ from .messages import (
 )
 from .preview import TOPIC, preview_qos
 from .same_stamp import SameStamp
+from .shelf import Shelf
 from .view_messages import ViewerSettings, band_message
 from .viewer import Viewer
 from .while_wanted import WhileWanted
 
 LOOK_S = 0.2  # how often it looks whether somebody looks
 NICENESS = 10  # the measurement goes first
-CLOUD = "view/cloud"
+CLOUD, BAND = "view/cloud", "view/opening"
+OPENINGS_DEPTH = 300  # openings that may come between two looks
+FIELDS_EARLY, OPENINGS_EARLY = 8, 300  # that may come before their preview
 
 
 class ViewerNode(Node):
@@ -47,7 +51,7 @@ class ViewerNode(Node):
         settings = declare(self, ViewerSettings, "viewer")
         path = declare_path(self, "calibration_file", "calibration.yaml: intrinsics of both sensors, extrinsics")
         self._viewer = Viewer(make, load_calibration(path), settings)
-        self._together = SameStamp("preview", "field", "opening")
+        self._together = SameStamp("preview", {"field": FIELDS_EARLY, "opening": OPENINGS_EARLY})
         self._depth: bytes | None = None
         self._diagnostics = Diagnostics(self)
         self._outputs = {
@@ -57,30 +61,39 @@ class ViewerNode(Node):
         points = self.declare_parameter("use_points", False).value
         depth = (PointCloud2, "tof/points") if points else (Image, "tof/depth/image_raw")
         self._depth_type = depth[0]
+        self._attended = {topic: Attended(output) for topic, output in self._outputs.items() if topic != BAND}
         self._images = WhileWanted(
             self,
             (Reference, "reference", lambda m: self._viewer.know_reference(reference_from_message(m)), latched_qos()),
             (Preview, TOPIC, self._preview, preview_qos()),
             (PlaneStamped, "plane", lambda m: self._viewer.know_plane(plane_from_message(m)), _newest(20)),
-            (DisplacementField, "displacement_field", self._field, _newest(20), True),
-            (CrackOpening, "crack_opening", self._opening, _newest(100)),
+            (DisplacementField, PREVIEWED_FIELD, self._field, preview_qos(), True),
         )
+        self._openings = Shelf(self, CrackOpening, "crack_opening", OPENINGS_DEPTH)
         self._depths = WhileWanted(self, (*depth, self._take_depth, _newest(1), True))
         self.create_timer(LOOK_S, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _look(self) -> None:
-        self._images.follow(any(output.matched for output in self._outputs.values()))
-        self._depths.follow(self._outputs[CLOUD].matched > 0)
+        attended = {topic: attended.now() for topic, attended in self._attended.items()}
+        shown = any(attended.values())
+        self._images.follow(shown)
+        self._openings.listen() if shown or self._outputs[BAND].matched else self._openings.rest()
+        for opening in self._openings.taken():
+            self._opening(opening)
+        self._depths.follow(attended[CLOUD])
+
+    def close(self) -> None:
+        self._openings.close()
 
     def _preview(self, message: Preview) -> None:
         self._add("preview", stamp_to_ns(message.header.stamp), message)
 
     def _field(self, data: bytes) -> None:
-        self._add("field", header_stamp_ns(data), data)  # of sixty a second, four are read
+        self._add("field", header_stamp_ns(data), data)
 
     def _opening(self, message: CrackOpening) -> None:
         opening = crack_opening_from_message(message)
-        self._publish("view/opening", lambda: band_message(make, opening, message.header.frame_id))
+        self._publish(BAND, lambda: band_message(make, opening, message.header.frame_id))
         self._add("opening", opening.stamp_ns, opening)
 
     def _take_depth(self, data: bytes) -> None:

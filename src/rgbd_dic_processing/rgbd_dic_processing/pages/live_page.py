@@ -62,6 +62,7 @@ class LivePage:
             said, _ = await asyncio.gather(socket.receive(), asyncio.sleep(PERIOD_S))
             if said.type is not WSMsgType.TEXT:
                 return
+            self._state.hear_viewer()
 
     async def _picture(self, request: web.Request) -> web.Response:
         """The next picture after the one that the viewer has, as a line of JSON and a JPEG; 204 if none comes.

@@ -89,7 +89,7 @@ class LiveState:
         self._events: list[dict[str, Any]] = []
         self._offers: dict[str, Any] = {}
         self._most_viewers, self._viewers = most_viewers, 0
-        self._last_viewer = self._picture_asked = float("-inf")
+        self._viewer_heard = self._picture_asked = float("-inf")
         self._picture: Picture | None = None
         self._waiting: list[tuple[asyncio.AbstractEventLoop, asyncio.Event]] = []
         self.orders: SimpleQueue[Order] = SimpleQueue()
@@ -97,13 +97,14 @@ class LiveState:
     # The node's side
 
     def watched(self, linger_s: float) -> bool:
-        """Whether anybody has looked within the last seconds."""
+        """Whether any viewer was heard within the last seconds; one whose connection is lost is not."""
         with self._lock:
-            return self._viewers > 0 or time.monotonic() - self._last_viewer < linger_s
+            return time.monotonic() - self._viewer_heard < linger_s
 
     def picture_wanted(self) -> bool:
         with self._lock:
-            return self._viewers > 0 and time.monotonic() - self._picture_asked < PICTURE_LINGER_S
+            asked = bool(self._waiting) or time.monotonic() - self._picture_asked < PICTURE_LINGER_S
+            return asked and self._viewers > 0
 
     def add_opening(self, opening: CrackOpening) -> None:
         with self._lock:
@@ -153,12 +154,17 @@ class LiveState:
             if self._viewers >= self._most_viewers:
                 raise TooManyViewers(f"{self._viewers} viewers look already, which is the most that are served")
             self._viewers += 1
+            self._viewer_heard = time.monotonic()
         try:
             yield
         finally:
             with self._lock:
                 self._viewers -= 1
-                self._last_viewer = time.monotonic()
+
+    def hear_viewer(self) -> None:
+        """One of them has said that it has what it was sent."""
+        with self._lock:
+            self._viewer_heard = time.monotonic()
 
     async def next_picture(self, after: int, timeout_s: float) -> Picture | None:
         """A picture of a higher number; None if there is none in time."""

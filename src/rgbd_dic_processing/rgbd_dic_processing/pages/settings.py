@@ -16,7 +16,12 @@ class OperatorSettings(Settings):
     picture_quality: int = setting(60, low=5, high=100, doc="of the pictures as JPEG; 100 is the best")
     most_viewers: int = setting(8, low=1, high=100, doc="viewers that are served at a time; more are refused")
     linger_s: float = setting(
-        5.0, unit="s", low=0.0, high=600.0, doc="how long the topics are still heard after the last viewer has left"
+        2.0,
+        unit="s",
+        low=0.5,
+        high=600.0,
+        doc="how long the topics are still heard after the last word of a viewer, who says one with each portion of "
+        "numbers",
     )
     noise: float = setting(
         1.0,
