@@ -152,12 +152,16 @@ def test_regions_of_a_running_graph_are_set_from_the_page(tmp_path: Path) -> Non
     page_options = ("--live", "--port", port, "--domain", 87, "--out", tmp_path / "drawn.yaml")
     with (
         serving("regions", *page_options) as address,
-        serving("up", SAMPLE, "--rate", 0.15, "--domain", 87, "--out", run, says="1/120"),
+        serving("up", SAMPLE, "--rate", 0.08, "--domain", 87, "--out", run, says="1/120"),
         chromium_page(LAPTOP) as page,
     ):
         page.goto(f"{address}regions")
         expect(page.locator("#verdict")).to_have_class("fine", timeout=60_000)
         expect(page.locator("#sizes")).to_contain_text("mm")  # from the plane of the running graph
+        first = page.locator("#source").text_content()
+        page.get_by_role("button", name="Newest image").click()
+        expect(page.locator("#source")).not_to_have_text(first, timeout=30_000)
+        expect(page.locator("#verdict")).to_have_class("fine")
         page.get_by_role("button", name="Measuring zones", exact=True).click()
         handle = page.get_by_role("button", name="direction of the crack and length")
         handle.focus()

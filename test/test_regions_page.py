@@ -279,7 +279,8 @@ def test_fingers_draw_and_zoom(bag: Path, tmp_path: Path) -> None:
 def test_zoom_and_pan_keep_to_the_image(drawn) -> None:
     page, _ = drawn
     hand = Hand(page)
-    corner = tuple(map(round, hand.at((100, 100))))
+    fitted = hand.at((100, 100))
+    corner = tuple(map(round, fitted))
     under = hand.to_image(corner)
     page.mouse.move(*corner)
     page.mouse.wheel(0, -500)
@@ -290,6 +291,13 @@ def test_zoom_and_pan_keep_to_the_image(drawn) -> None:
     page.mouse.up()
     page.wait_for_timeout(100)
     np.testing.assert_allclose(hand.at(under), np.add(corner, (40, -30)), atol=0.01)
+    scale = hand.view()[2]
+    hand.choose("Zoom in")
+    assert hand.view()[2] > 1.05 * scale
+    hand.choose("Zoom out")
+    assert hand.view()[2] == pytest.approx(scale)
+    hand.choose("Fit")
+    np.testing.assert_allclose(hand.at((100, 100)), fitted, atol=0.01)
 
 
 def test_accessibility_has_no_serious_finding(bag: Path, tmp_path: Path) -> None:
