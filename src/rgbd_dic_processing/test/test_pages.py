@@ -84,6 +84,7 @@ def test_a_token_is_asked_for_and_kept_in_a_cookie(guarded: Served) -> None:
         ("/live/picture?after=0&coarse=99", None, {}, 400),
         ("/static/../server.py", None, {}, 404),
         ("/static/%2e%2e/server.py", None, {}, 404),
+        ("/live/numbers", None, {"Origin": "http://evil.example"}, 403),
         ("/live/numbers", None, {}, 400),  # not a WebSocket
     ],
 )
