@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import cv2
 import numpy as np
 import pytest
@@ -17,6 +19,7 @@ from rgbd_dic_processing.core.regions import Regions
 from rgbd_dic_processing.core.regions_file import regions_of
 from rgbd_dic_processing.core.status import FrameStatus
 from rgbd_dic_processing.core.view import BLUE, RED, WHITE, ColourScale, View, Viewing, nearest_plane
+from rgbd_dic_processing.nodes.attended import GONE_S, Attended
 from rgbd_dic_processing.nodes.same_stamp import SameStamp
 from rgbd_dic_processing.nodes.view_messages import ViewerSettings, band_message, cloud_message, view_messages
 from rgbd_dic_processing.nodes.viewer import Viewer
@@ -169,6 +172,29 @@ def test_parts_of_one_image_are_put_together_in_any_order() -> None:
     for stamp in (6, 7):  # two pictures wait, so that of 2 is given up
         together.add("picture", stamp, f"p{stamp}")
     assert together.add("opening", 2, "o2") is None
+
+
+def test_a_single_viewer_that_confirms_nothing_is_gone_until_it_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    now, output = [0.0], SimpleNamespace(matched=0, confirmed=lambda: True)
+    monkeypatch.setattr("rgbd_dic_processing.nodes.attended.time", SimpleNamespace(monotonic=lambda: now[0]))
+    attended = Attended(output)
+
+    def after(seconds: float, matched: int, confirmed: bool) -> bool:
+        now[0] += seconds
+        output.matched, output.confirmed = matched, lambda: confirmed
+        return attended.now()
+
+    assert not after(0.0, 0, True)
+    assert after(100.0, 1, False)  # it has just come
+    assert after(GONE_S - 0.1, 1, False)
+    assert not after(0.2, 1, False)
+    assert after(5.0, 1, True)
+    assert not after(GONE_S + 0.1, 1, False)
+    assert after(0.1, 2, False)  # another has come, and one of the two is there
+    assert after(100.0, 2, False)
+    assert after(0.1, 1, False)  # which of them left is not known
+    assert not after(GONE_S + 0.1, 1, False)
+    assert not after(0.1, 0, True)
 
 
 def shown(view: View, status: FrameStatus = FrameStatus.OK, most: int = 1500) -> dict:

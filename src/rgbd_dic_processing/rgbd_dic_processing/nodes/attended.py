@@ -23,6 +23,6 @@ class Attended:
     def now(self) -> bool:
         """To be asked several times a second."""
         matched = self._output.matched
-        if matched != self._matched or self._output.confirmed():
+        if matched != self._matched or (matched == 1 and self._output.confirmed()):
             self._matched, self._confirmed_s = matched, time.monotonic()
         return matched > 1 or (matched == 1 and time.monotonic() - self._confirmed_s < GONE_S)
