@@ -107,26 +107,40 @@ inline void weigh(const Loops& loops, const PaddedImage& image, const std::vecto
                        end = box.x1 + reach_x;  // columns that the sums along x take
   const std::ptrdiff_t begin_known = std::max<std::ptrdiff_t>(first, 0),
                        end_known = std::min(end, image.cols());
-  std::vector<float> lines(static_cast<std::size_t>(threads * (end - first)));
-  std::vector<const float*> pointers(static_cast<std::size_t>(threads) *
-                                     (x_weights.size() + y_weights.size()));
-  parallel_blocks(box.y1 - box.y0, 16, threads, [&](int worker, std::ptrdiff_t begin, std::ptrdiff_t stop) {
-    float* line = lines.data() + worker * (end - first) - first;
-    const float** around = pointers.data() + worker * (x_weights.size() + y_weights.size());
-    const float** shifted = around + y_weights.size();
-    for (std::size_t k = 0; k < x_weights.size(); ++k) shifted[k] = line + first + k;
-    for (std::ptrdiff_t y = box.y0 + begin; y < box.y0 + stop; ++y) {
-      for (std::size_t k = 0; k < y_weights.size(); ++k)
-        around[k] =
-            image.row(mirrored(y + static_cast<std::ptrdiff_t>(k) - reach_y, image.rows())) + begin_known;
-      loops.weighted_sum(around, y_weights.data(), static_cast<int>(y_weights.size()),
-                         end_known - begin_known, line + begin_known);
-      for (std::ptrdiff_t x = first; x < begin_known; ++x) line[x] = line[mirrored(x, image.cols())];
-      for (std::ptrdiff_t x = end_known; x < end; ++x) line[x] = line[mirrored(x, image.cols())];
-      loops.weighted_sum(shifted, x_weights.data(), static_cast<int>(x_weights.size()), box.x1 - box.x0,
-                         result.row(y) + box.x0);
-    }
-  });
+  // A few lines at a time, and of the sums along y a strip at a time: what they take then stays in the cache.
+  constexpr std::ptrdiff_t kLines = 16, kStrip = 128;
+  const std::ptrdiff_t before = (reach_x + 15) / 16 * 16, stride = (before + end + 15) / 16 * 16;
+  const std::size_t taken = kLines - 1 + y_weights.size();
+  struct Workspace {
+    FloatBuffer lines;
+    std::vector<const float*> around, shifted;
+  };
+  std::vector<Workspace> workspaces;
+  for (int worker = 0; worker < threads; ++worker)
+    workspaces.push_back({FloatBuffer(static_cast<std::size_t>(kLines * stride)),
+                          std::vector<const float*>(taken), std::vector<const float*>(x_weights.size())});
+  parallel_blocks(
+      box.y1 - box.y0, kLines, threads, [&](int worker, std::ptrdiff_t begin, std::ptrdiff_t stop) {
+        auto& [lines, around, shifted] = workspaces[static_cast<std::size_t>(worker)];
+        for (std::ptrdiff_t x = begin_known / 16 * 16; x < end_known; x += kStrip) {
+          for (std::size_t k = 0; k < taken; ++k)
+            around[k] =
+                image.row(mirrored(box.y0 + begin + static_cast<std::ptrdiff_t>(k) - reach_y, image.rows())) +
+                x;
+          for (std::ptrdiff_t y = begin; y < stop; ++y)
+            loops.weighted_sum(around.data() + (y - begin), y_weights.data(),
+                               static_cast<int>(y_weights.size()), std::min(kStrip, end_known - x),
+                               lines.data() + (y - begin) * stride + before + x);
+        }
+        for (std::ptrdiff_t y = begin; y < stop; ++y) {
+          float* line = lines.data() + (y - begin) * stride + before;
+          for (std::ptrdiff_t x = first; x < begin_known; ++x) line[x] = line[mirrored(x, image.cols())];
+          for (std::ptrdiff_t x = end_known; x < end; ++x) line[x] = line[mirrored(x, image.cols())];
+          for (std::size_t k = 0; k < x_weights.size(); ++k) shifted[k] = line + first + k;
+          loops.weighted_sum(shifted.data(), x_weights.data(), static_cast<int>(x_weights.size()),
+                             box.x1 - box.x0, result.row(box.y0 + y) + box.x0);
+        }
+      });
 }
 
 // What white noise of unit variance in the pixels leaves in what is made of them.

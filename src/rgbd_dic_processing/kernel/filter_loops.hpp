@@ -10,14 +10,9 @@
 namespace rgbd_dic::RGBD_DIC_ISA {
 
 void to_floats(const std::uint8_t* pixels, std::ptrdiff_t count, float* out) {
-  typedef std::uint8_t Bytes __attribute__((vector_size(kWidth)));
-  std::ptrdiff_t i = 0;
-  for (; i + kWidth <= count; i += kWidth) {
-    Bytes bytes;
-    std::memcpy(&bytes, pixels + i, sizeof bytes);
-    store(out + i, __builtin_convertvector(bytes, Floats));
-  }
-  for (; i < count; ++i) out[i] = pixels[i];
+  // Compilers make vectors of this loop, but not of a conversion of vectors of bytes.
+#pragma omp simd
+  for (std::ptrdiff_t i = 0; i < count; ++i) out[i] = static_cast<float>(pixels[i]);
 }
 
 // The filter along some lines beside each other: as many as `vectors` Lanes hold, vectors or single floats.

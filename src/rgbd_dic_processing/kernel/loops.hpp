@@ -32,10 +32,16 @@ struct ReferencePixels {
   std::ptrdiff_t stride;
 };
 
+// A subset is judged by its parts: kSide x kSide blocks, row by row.
+constexpr int kSide = 4, kBlocks = kSide * kSide;
+inline int block_start(int k, int size) { return k * size / kSide; }  // first column or line of the k-th
+inline int block_length(int k, int size) { return block_start(k + 1, size) - block_start(k, size); }
+
 // Sums down the columns of pixels through some subsets beside each other, lines of floats that are added up
-// along the subsets: of products of gradients by level or power of eta, and of the gradients by power of eta.
+// along the subsets: of products of gradients by level of blocks or power of eta, of the gradients and of
+// them times f by power of eta, of f and f^2 by level, with the column's mean taken off f; and that mean.
 constexpr int column_sum_count(int order) {
-  return 4 * (4 + 2 * order) + 3 * (2 * order + 1) + 3 * 4 + 4 * (order + 1);
+  return 4 * (kSide + 2 * order) + 3 * (2 * order + 1) + 3 * kSide + 8 * (order + 1) + 2 * kSide + 1;
 }
 
 // Sums over a subset for its normal equations: of products times xi^p eta^q, [q][p], and of f, f^2.
@@ -69,11 +75,6 @@ struct Moments {
 struct ResidualSums {
   float r_r, r_f, r_1, r_j[kMaxParameters];
 };
-
-// A subset is judged by its parts: kSide x kSide blocks, row by row.
-constexpr int kSide = 4, kBlocks = kSide * kSide;
-inline int block_start(int k, int size) { return k * size / kSide; }  // first column or line of the k-th
-inline int block_length(int k, int size) { return block_start(k + 1, size) - block_start(k, size); }
 
 // Sums over each block.
 using BlockSum = float[kBlocks];
@@ -113,8 +114,8 @@ struct Loops {
                       std::ptrdiff_t stride);
 
   // `columns`: those sums, from the first column of the subset on. In the blocks f - mean_f stands for f.
-  void (*product_sums)(const Layout&, const ReferencePixels&, int order, const float* columns,
-                       std::ptrdiff_t stride, ProductSums&, BlockProducts&);
+  void (*product_sums)(const Layout&, int order, const float* columns, std::ptrdiff_t stride, ProductSums&,
+                       BlockProducts&);
 
   // Mean over the subset of gain(x) gain(y), each a polynomial of four coefficients in (t - 1/2)^2, where t
   // is the fraction of a coordinate.

@@ -48,7 +48,8 @@ class Memory {
   }
 
  private:
-  static constexpr std::size_t kLine = 64, kHugePage = std::size_t{1} << 21, kBlocksKept = 2;
+  static constexpr std::size_t kLine = 64, kHugePage = std::size_t{1} << 21,
+                               kBlocksKept = 8;  // those of a reference and a target
   struct Block {
     void* memory = nullptr;
     std::size_t bytes = 0;

@@ -64,38 +64,32 @@ struct SubsetEquations {
 constexpr int kMaxUnknowns = 20;
 using Square = std::array<double, kMaxUnknowns * kMaxUnknowns>;  // p x p of it, row by row
 
-// Inverts a matrix close to a symmetric positive definite one by Gauss-Jordan elimination, its rows and
-// columns scaled to a unit diagonal. False if a pivot falls below 1e-6: the texture does not determine all
-// parameters.
-inline bool invert(Square& matrix, int n, double* inverse) {
+// Inverts a matrix close to a symmetric positive definite one in place, by Gauss-Jordan elimination with its
+// rows and columns scaled to a unit diagonal. False if a pivot falls below 1e-6: the texture does not
+// determine all parameters.
+inline bool invert(Square& matrix, int n) {
   std::array<double, kMaxUnknowns> scale{};
   for (int i = 0; i < n; ++i) {
     if (!(matrix[i * n + i] > 0.0)) return false;
     scale[i] = 1.0 / std::sqrt(matrix[i * n + i]);
   }
   for (int i = 0; i < n; ++i)
-    for (int j = 0; j < n; ++j) {
-      matrix[i * n + j] *= scale[i] * scale[j];
-      inverse[i * n + j] = i == j ? 1.0 : 0.0;
-    }
+    for (int j = 0; j < n; ++j) matrix[i * n + j] *= scale[i] * scale[j];
   for (int column = 0; column < n; ++column) {
-    const double pivot = matrix[column * n + column];
-    if (!(pivot > 1e-6)) return false;
-    for (int j = 0; j < n; ++j) {
-      matrix[column * n + j] /= pivot;
-      inverse[column * n + j] /= pivot;
-    }
+    double* row = matrix.data() + column * n;
+    if (!(row[column] > 1e-6)) return false;
+    const double share = 1.0 / row[column];
+    row[column] = 1.0;
+    for (int j = 0; j < n; ++j) row[j] *= share;
     for (int i = 0; i < n; ++i) {
-      const double factor = matrix[i * n + column];
-      if (i == column || factor == 0.0) continue;
-      for (int j = 0; j < n; ++j) {
-        matrix[i * n + j] -= factor * matrix[column * n + j];
-        inverse[i * n + j] -= factor * inverse[column * n + j];
-      }
+      if (i == column) continue;
+      double* other = matrix.data() + i * n;
+      const double factor = std::exchange(other[column], 0.0);
+      for (int j = 0; j < n; ++j) other[j] -= factor * row[j];
     }
   }
   for (int i = 0; i < n; ++i)
-    for (int j = 0; j < n; ++j) inverse[i * n + j] *= scale[i] * scale[j];
+    for (int j = 0; j < n; ++j) matrix[i * n + j] *= scale[i] * scale[j];
   return true;
 }
 
@@ -226,8 +220,10 @@ class Reference {
     Subset corner = *left;
     corner.x -= layout.half;
     loops_.column_sums(layout, pixels(corner, dx, dy), model_.order, count, columns.data(), stride);
-    for (std::ptrdiff_t i = begin; i < end; ++i)
-      prepare(i, pixels(subsets_[i], dx, dy), columns.data() + (subsets_[i].x - layout.half - first), stride);
+    for (std::ptrdiff_t i = begin; i < end; ++i) {
+      const float* from = columns.data() + (subsets_[i].x - layout.half - first);
+      model_.order == 1 ? prepare<1>(i, from, stride) : prepare<2>(i, from, stride);
+    }
   }
 
   ReferencePixels pixels(const Subset& subset, const PaddedImage& dx, const PaddedImage& dy) const {
@@ -237,12 +233,14 @@ class Reference {
     return found;
   }
 
-  void prepare(std::ptrdiff_t i, const ReferencePixels& pixels, const float* columns, std::ptrdiff_t stride) {
+  template <int order>
+  void prepare(std::ptrdiff_t i, const float* columns, std::ptrdiff_t stride) {
     Subset& subset = subsets_[i];
     const Layout layout = this->layout();
-    const int n = layout.count(), p = model_.parameters(), monomials = p / 2;
+    const int n = layout.count();
+    constexpr int monomials = monomial_count(order), p = 2 * monomials;
     ProductSums sums;
-    loops_.product_sums(layout, pixels, model_.order, columns, stride, sums, subset.blocks);
+    loops_.product_sums(layout, order, columns, stride, sums, subset.blocks);
     subset.mean = static_cast<float>(sums.f / n);
     subset.power = sums.f_f;
     if (is_uniform(subset.mean, subset.power, n)) return;
@@ -287,7 +285,8 @@ class Reference {
     }
     // Along stripes the gradient is but rounding, which the scaling in invert() would hide.
     const double along_x = jd[0], along_y = jd[monomials * (p + 1)];
-    if (!(std::min(along_x, along_y) > 1e-6 * std::max(along_x, along_y)) || !invert(jd, p, inverse)) return;
+    if (!(std::min(along_x, along_y) > 1e-6 * std::max(along_x, along_y)) || !invert(jd, p)) return;
+    std::copy_n(jd.begin(), p * p, inverse);
 
     // Rows of the inverse that give the displacement of the point: with its powers as weights.
     const double xi = subset.away_x, eta = subset.away_y;
@@ -298,12 +297,16 @@ class Reference {
         to_u[b] += powers[m] * inverse[m * p + b];
         to_v[b] += powers[m] * inverse[(monomials + m) * p + b];
       }
-    for (int a = 0; a < p; ++a)
+    for (int a = 0; a < p; ++a) {
+      double along_u = 0.0, along_v = 0.0;
       for (int b = 0; b < p; ++b) {
-        subset.uu += to_u[a] * jj[a * p + b] * to_u[b];
-        subset.uv += to_u[a] * jj[a * p + b] * to_v[b];
-        subset.vv += to_v[a] * jj[a * p + b] * to_v[b];
+        along_u += jj[a * p + b] * to_u[b];
+        along_v += jj[a * p + b] * to_v[b];
       }
+      subset.uu += to_u[a] * along_u;
+      subset.uv += to_u[a] * along_v;
+      subset.vv += to_v[a] * along_v;
+    }
     if (subset.uu > 0.0 && subset.uu * subset.vv > subset.uv * subset.uv)
       subset.state = Subset::State::kUsable;
   }

@@ -85,7 +85,7 @@ struct BlockDisplacement {
 inline BlockDisplacement block_displacement(const Subset& subset, int size, const BlockResiduals& residuals,
                                             int monomials) {
   const int p = 2 * monomials;
-  Square normal{}, inverse{};
+  Square normal{};
   std::array<double, kMaxUnknowns> right{};
   const auto middle = [&](int k) {  // of a block, -1 to 1 over the subset, and half of its width
     const double whole = size, first = block_start(k, size), end = block_start(k + 1, size);
@@ -110,10 +110,10 @@ inline BlockDisplacement block_displacement(const Subset& subset, int size, cons
     }
   }
   BlockDisplacement result;
-  if (!invert(normal, p, inverse.data())) return result;
+  if (!invert(normal, p)) return result;
   for (int a = 0; a < p; ++a) {
     double parameter = 0.0;
-    for (int b = 0; b < p; ++b) parameter += inverse[a * p + b] * right[b];
+    for (int b = 0; b < p; ++b) parameter += normal[a * p + b] * right[b];
     result.explained += parameter * right[a];
     if (a == 0) result.u = parameter;
     if (a == monomials) result.v = parameter;

@@ -184,7 +184,8 @@ struct LateSums {
 // Which line of column sums is which. Of the products of J and D, jx dx, jx dy, jy dx and jy dy, the sums
 // over each level of blocks come first, then those times eta, eta^2, ...; of J and J, jx jx, jx jy and jy jy,
 // those times 1, eta, ...; of D and D, dx dx, dx dy and dy dy, those over each level; of jx, jy, dx and dy
-// those times 1, eta, ....
+// those times 1, eta, ..., and the same of their products with f, from which the column's mean is taken off;
+// of that f, and of its square, those over each level; the mean.
 template <int order>
 struct ColumnSums {
   static constexpr int kPowers = 2 * order;
@@ -192,7 +193,9 @@ struct ColumnSums {
   static constexpr int jj(int product) { return jd(4) + product * (kPowers + 1); }
   static constexpr int dd(int product) { return jj(3) + product * kSide; }
   static constexpr int single(int gradient) { return dd(3) + gradient * (order + 1); }
-  static_assert(single(4) == column_sum_count(order));
+  static constexpr int with_f(int gradient) { return single(4) + gradient * (order + 1); }
+  static constexpr int f = with_f(4), f_f = f + kSide, mean = f_f + kSide;
+  static_assert(mean + 1 == column_sum_count(order));
 };
 
 template <int order>
@@ -213,6 +216,8 @@ void column_sums_of(const Layout& layout, const ReferencePixels& reference, std:
       for (int k = block_length(level, size); k > 0; --k, at += reference.stride, q += 1.0f) {
         const Floats jx = load(reference.jx + at), jy = load(reference.jy + at);
         const Floats dx = load(reference.dx + at), dy = load(reference.dy + at);
+        for (const float* plane : {reference.f, reference.jx, reference.jy, reference.dx, reference.dy})
+          __builtin_prefetch(plane + at + 2 * kWidth);
         const Floats products[] = {jx * dx, jx * dy, jy * dx, jy * dy};
         Floats power = q;
         for (int p = 0; p < kPowers; ++p, power *= q)
@@ -258,6 +263,33 @@ void column_sums_of(const Layout& layout, const ReferencePixels& reference, std:
     }
     for (int i = 0; i < 4; ++i)
       for (int p = 0; p <= order; ++p) put(Sums::single(i) + p, single[i][p]);
+
+    Floats mean{};
+    at = first;
+    for (int line = 0; line < size; ++line, at += reference.stride) mean += load(reference.f + at);
+    mean *= 1.0f / static_cast<float>(size);
+    put(Sums::mean, mean);
+    Floats with_f[4][order + 1]{};
+    q = all_equal(static_cast<float>(-layout.half));
+    at = first;
+    for (int level = 0; level < kSide; ++level) {
+      Floats f_level{}, f_f_level{};
+      for (int k = block_length(level, size); k > 0; --k, at += reference.stride, q += 1.0f) {
+        const Floats f = load(reference.f + at) - mean;
+        f_level += f;
+        f_f_level += f * f;
+        const Floats products[] = {load(reference.jx + at) * f, load(reference.jy + at) * f,
+                                   load(reference.dx + at) * f, load(reference.dy + at) * f};
+        Floats power = q;
+        for (int i = 0; i < 4; ++i) with_f[i][0] += products[i];
+        for (int p = 1; p <= order; ++p, power *= q)
+          for (int i = 0; i < 4; ++i) with_f[i][p] += products[i] * power;
+      }
+      put(Sums::f + level, f_level);
+      put(Sums::f_f + level, f_f_level);
+    }
+    for (int i = 0; i < 4; ++i)
+      for (int p = 0; p <= order; ++p) put(Sums::with_f(i) + p, with_f[i][p]);
   }
 }
 
@@ -290,22 +322,18 @@ struct LaneSums {
 };
 
 template <int order>
-void product_sums_of(const Layout& layout, const ReferencePixels& reference, const float* columns,
-                     std::ptrdiff_t stride, ProductSums& sums, BlockProducts& blocks) {
+void product_sums_of(const Layout& layout, const float* columns, std::ptrdiff_t stride, ProductSums& sums,
+                     BlockProducts& blocks) {
   using Sums = ColumnSums<order>;
   constexpr int kPowers = Sums::kPowers, kTerms = 9;
   const int size = layout.size();
-  Floats f_total{};
-  for (int column = 0; column < layout.columns; ++column) {
-    const float* f = reference.f + column * kWidth - layout.half - layout.half * reference.stride;
-    Floats even{}, odd{};
-    for (int line = 1; line < size; line += 2, f += 2 * reference.stride) {
-      even += load(f);
-      odd += load(f + reference.stride);
-    }
-    f_total += inside(layout, column) ? even + odd + load(f) : Floats{};
-  }
-  sums.f = sum(f_total);
+  const auto at_line = [&](int line, int column) __attribute__((always_inline)) {
+    return load(columns + line * stride + column * kWidth);
+  };
+  Floats of_means{};
+  for (int column = 0; column < layout.columns; ++column)
+    of_means += inside(layout, column) ? at_line(Sums::mean, column) : Floats{};
+  sums.f = static_cast<double>(sum(of_means)) * size;
   const float mean = static_cast<float>(sums.f / layout.count());
 
   LaneSums<kPowers> jd[4], jj[3];
@@ -313,53 +341,41 @@ void product_sums_of(const Layout& layout, const ReferencePixels& reference, con
   BlockSums<kTerms> parts;
   Floats f_f{};
   for (int column = 0; column < layout.columns; ++column) {
-    const int start = column * kWidth - layout.half;
-    const Floats xi = to_floats(start + lane_numbers());
+    const Floats xi = to_floats(column * kWidth - layout.half + lane_numbers());
     const Ints within = inside(layout, column);
-    const auto at_line = [&](int line) __attribute__((always_inline)) {
-      return load(columns + line * stride + column * kWidth);
-    };
     Floats terms[kSide][kTerms], line[kPowers + 1];
     for (int i = 0; i < 4; ++i) {
       line[0] = Floats{};
       for (int level = 0; level < kSide; ++level) {
-        terms[level][2 + i] = at_line(Sums::jd(i) + level);
+        terms[level][2 + i] = at_line(Sums::jd(i) + level, column);
         line[0] += terms[level][2 + i];
       }
-      for (int p = 1; p <= kPowers; ++p) line[p] = at_line(Sums::jd(i) + kSide + p - 1);
+      for (int p = 1; p <= kPowers; ++p) line[p] = at_line(Sums::jd(i) + kSide + p - 1, column);
       jd[i].add(column, line, xi, within);
     }
     for (int i = 0; i < 3; ++i) {
-      for (int p = 0; p <= kPowers; ++p) line[p] = at_line(Sums::jj(i) + p);
+      for (int p = 0; p <= kPowers; ++p) line[p] = at_line(Sums::jj(i) + p, column);
       jj[i].add(column, line, xi, within);
-      for (int level = 0; level < kSide; ++level) terms[level][6 + i] = at_line(Sums::dd(i) + level);
+      for (int level = 0; level < kSide; ++level) terms[level][6 + i] = at_line(Sums::dd(i) + level, column);
     }
-
-    Floats with_f[4][order + 1]{}, q = all_equal(static_cast<float>(-layout.half));
-    std::ptrdiff_t at = start - layout.half * reference.stride;
+    // With the subset's mean taken off f instead of the column's:
+    const Floats away = at_line(Sums::mean, column) - mean;
     for (int level = 0; level < kSide; ++level) {
-      Floats f_level{}, f_f_level{};
-      for (int k = block_length(level, size); k > 0; --k, at += reference.stride, q += 1.0f) {
-        const Floats f = load(reference.f + at) - mean;
-        f_level += f;
-        f_f_level += f * f;
-        const Floats products[] = {load(reference.jx + at) * f, load(reference.jy + at) * f,
-                                   load(reference.dx + at) * f, load(reference.dy + at) * f};
-        Floats power = q;
-        for (int i = 0; i < 4; ++i) with_f[i][0] += products[i];
-        for (int p = 1; p <= order; ++p, power *= q)
-          for (int i = 0; i < 4; ++i) with_f[i][p] += products[i] * power;
-      }
-      terms[level][0] = f_level;
-      terms[level][1] = f_f_level;
-      f_f += within ? f_f_level : Floats{};
+      const Floats f = at_line(Sums::f + level, column),
+                   all_away = static_cast<float>(block_length(level, size)) * away;
+      terms[level][0] = f + all_away;
+      terms[level][1] = at_line(Sums::f_f + level, column) + away * (2.0f * f + all_away);
+      f_f += within ? terms[level][1] : Floats{};
       parts.add(layout, column, level, terms[level]);
     }
     for (int i = 0; i < 4; ++i) {
-      of_f[i].add(column, with_f[i], xi, within);
-      Floats alone[order + 1];
-      for (int p = 0; p <= order; ++p) alone[p] = at_line(Sums::single(i) + p);
+      Floats alone[order + 1], with_f[order + 1];
+      for (int p = 0; p <= order; ++p) {
+        alone[p] = at_line(Sums::single(i) + p, column);
+        with_f[p] = at_line(Sums::with_f(i) + p, column) + away * alone[p];
+      }
       single[i].add(column, alone, xi, within);
+      of_f[i].add(column, with_f, xi, within);
     }
   }
 
@@ -377,9 +393,9 @@ void product_sums_of(const Layout& layout, const ReferencePixels& reference, con
   late.finish();
 }
 
-void product_sums(const Layout& layout, const ReferencePixels& reference, int order, const float* columns,
-                  std::ptrdiff_t stride, ProductSums& sums, BlockProducts& blocks) {
-  (order == 1 ? product_sums_of<1> : product_sums_of<2>)(layout, reference, columns, stride, sums, blocks);
+void product_sums(const Layout& layout, int order, const float* columns, std::ptrdiff_t stride,
+                  ProductSums& sums, BlockProducts& blocks) {
+  (order == 1 ? product_sums_of<1> : product_sums_of<2>)(layout, columns, stride, sums, blocks);
 }
 
 }  // namespace rgbd_dic::RGBD_DIC_ISA
