@@ -167,14 +167,16 @@ def inside(polygon_px: Array, points_px: Array) -> Mask:
     """Which points (N, 2) lie inside a polygon (M, 2) or on its border: those whose ray to the right crosses it an odd
     number of times."""
     corners = np.asarray(polygon_px, float)
-    x, y = np.asarray(points_px, float).T
+    x, y = np.asarray(points_px, float).T.copy()
     odd, on_border = np.zeros((2, len(x)), bool)
     for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         along_x, along_y = x1 - x0, y1 - y0
         side = along_x * (y - y0) - along_y * (x - x0)  # positive: right of the edge as it runs, y down
-        odd ^= ((y < y0) != (y < y1)) & ((side > 0) == (along_y > 0))
-        along = along_x * (x - x0) + along_y * (y - y0)
-        on_border |= (side == 0) & (along >= 0) & (along <= along_x**2 + along_y**2)
+        if along_y != 0:
+            odd ^= ((y < y0) != (y < y1)) & ((side > 0) if along_y > 0 else (side <= 0))
+        on_line = np.flatnonzero(side == 0)
+        along = along_x * (x[on_line] - x0) + along_y * (y[on_line] - y0)
+        on_border[on_line] |= (along >= 0) & (along <= along_x**2 + along_y**2)
     return odd | on_border
 
 
