@@ -48,11 +48,16 @@ def grid() -> NDArray[np.int32]:
     return regions().subset_centres(SIZE, SIZE, SUBSET, STEP)
 
 
-def seeds(homography: NDArray, centres_px: NDArray) -> NDArray[np.float64]:
+def seed_maps(centres_px: NDArray) -> SeedMaps:
+    """What seeds are made of, once for all frames."""
+    return SeedMaps(CAMERA, centres_px, reach_px=SUBSET / 2)
+
+
+def seeds(homography: NDArray, maps: SeedMaps) -> NDArray[np.float64]:
     """Seed maps (N, 2, 6) of a homography that is SEED_OFF_PX off."""
     off = np.eye(3)
     off[:2, 2] = SEED_OFF_PX
-    return SeedMaps(CAMERA, centres_px, reach_px=SUBSET / 2).seeds(off @ homography)
+    return maps.seeds(off @ homography)
 
 
 def found(
@@ -60,7 +65,7 @@ def found(
 ) -> Correlation:
     """The subsets in the target, from seeds that are 0.3 px off."""
     subsets = ReferenceSubsets(reference, centres_px, correlation)
-    return subsets.correlate(subsets.target(target), seeds(homography, centres_px))
+    return subsets.correlate(subsets.target(target), seeds(homography, seed_maps(centres_px)))
 
 
 def tracked(reference: NDArray, target: NDArray, correlation: CorrelationSettings) -> SubsetField:

@@ -168,10 +168,15 @@ inline Misfit misfit(const Subset& subset, const BlockShapes& shapes, const Bloc
   constexpr int kQuadratic = 6, kCubic = 10;  // monomials
   constexpr int kSmallest = 13;               // px; the blocks of smaller subsets tell nothing
   if (result.torn || free <= 2 * kCubic || shapes.size < kSmallest) return result;
-  // Of the blocks, the median: one with something foreign in it cannot be moved into place.
+  // White noise is what the median of the blocks has: one with something foreign in it cannot be moved into
+  // place. That it is too little to explain so much is so seldom that the median is not sought before.
+  const double at_most = explained / (kSignificant * strength * free);
+  if (std::count_if(at_rest, at_rest + kBlocks, [&](float variance) { return variance < at_most; }) <=
+      kBlocks / 2)
+    return result;
   std::nth_element(at_rest, at_rest + kBlocks / 2, at_rest + kBlocks);
   const double white = strength * at_rest[kBlocks / 2];
-  if (!(white > 0.0 && explained > kSignificant * white * free)) return result;
+  if (!(white > 0.0)) return result;
 
   const BlockDisplacement quadratic = block_displacement(subset, shapes.size, residuals, kQuadratic);
   const double cubic =

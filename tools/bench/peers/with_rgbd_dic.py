@@ -30,11 +30,11 @@ def prepare(reference, setup):
 
         return correlate
     centres, homography = engine.grid(), np.array(setup["homography"])
-    subsets = ReferenceSubsets(reference, centres, settings)
+    subsets, maps = ReferenceSubsets(reference, centres, settings), engine.seed_maps(centres)
 
     def correlate(image):
         clock = [_now()]
-        seeds = engine.seeds(homography, centres)
+        seeds = engine.seeds(homography, maps)
         clock.append(_now())
         target = subsets.target(image)
         clock.append(_now())

@@ -24,7 +24,9 @@ class SeedMaps:
     def __init__(self, camera: Camera, centres_px: Array, reach_px: float):
         self._lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.k1, camera.k2], float)
         self._reach = float(reach_px)
-        stencil = np.asarray(centres_px, float)[None] + reach_px * STENCIL[:, None]
+        stencil = np.empty((len(STENCIL), len(centres_px), 2))
+        for axis in (0, 1):
+            np.add(centres_px[:, axis], reach_px * STENCIL[:, None, axis], out=stencil[:, :, axis])
         self._ideal = camera.undistort(stencil.reshape(-1, 2)).reshape(stencil.shape)
 
     def seeds(self, H: Array, chosen: NDArray[np.intp] | slice = slice(None), offsets_px: Array | None = None) -> Array:
