@@ -6,7 +6,8 @@
 //
 // The normal equations are J^T D dp = -J^T r with D the gradient of the reference and J that of the reference
 // smoothed. J only weighs the residuals: where J^T r is zero does not depend on the noise, which is as often
-// positive as negative there, and a smooth J lets less of it in (docs/method.md).
+// positive as negative there, and a smooth J lets less of it in. Where it is zero with J free of f does:
+// noise makes f longer than the pattern in it (docs/method.md).
 #pragma once
 
 #include <algorithm>
@@ -201,10 +202,9 @@ class SubsetMatch {
                     local_, g_);
   }
 
-  // J^T r and |r|^2 of the residual r = f - mean_f - scale (g - mean_g), J free of the constant and of f;
-  // false if the samples are uniform, or too large to be squared. Scale and mean are those of the iteration
-  // before, and follow from the residual as they should have been; they are measured where that would lose
-  // digits.
+  // J^T r and |r|^2 of the residual r = f - mean_f - scale (g - mean_g) that has the scale |f| / |g|; false
+  // if the samples are uniform, or too large to be squared. Scale and mean are those of the iteration before,
+  // and follow from the residual as they should have been; they are measured where that would lose digits.
   bool compare(const SubsetEquations& equations, std::array<double, kMaxParameters>& j_r, double& r_r) {
     const SubsetModel& model = reference_.model();
     const double n = layout_.count(), power = subset_->power;
@@ -223,8 +223,10 @@ class SubsetMatch {
         continue;
       }
       const double s = std::sqrt(power / power_g);
+      // The residual is to be s r + (1 - s) f, both less their means.
       for (int k = 0; k < model.parameters(); ++k)
-        j_r[k] = s * (sums.r_j[k] - equations.mean_j[k] * sums.r_1 - equations.share_j[k] * sums.r_f);
+        j_r[k] =
+            s * (sums.r_j[k] - equations.mean_j[k] * sums.r_1) + (1.0 - s) * equations.share_j[k] * power;
       const double rest = (1.0 - s) * ((1.0 - s) * power + 2.0 * s * sums.r_f);
       r_r = std::max(rest + s * s * (sums.r_r - n * mean * mean), 0.0);
       mean_g_ += static_cast<float>(mean / scale_);

@@ -31,7 +31,7 @@ struct SubsetModel {
 
 // Constants of one subset. J is the n x p matrix of steepest-descent images, D the same of the true
 // gradients; what is subtracted below makes J orthogonal to the constant and to f, so that scale and offset
-// of the grey values are estimated along with the parameters without appearing in the equations.
+// of the grey values change along with the parameters without appearing in the equations.
 struct Subset {
   enum class State : std::uint8_t { kUsable, kOutside, kSingular };
 

@@ -111,7 +111,9 @@ def correlate(
         g = ndimage.map_coordinates(coefficients, [y, x], order=degree, mode="mirror", prefilter=False)
         g = g - g.mean()
         residual = f - np.linalg.norm(f) / np.linalg.norm(g) * g
-        step = -(inverse @ weights.T @ residual)[:6]
+        products = weights.T @ residual
+        products[7] = 0  # the scale is |f| / |g|, and not less because of the noise in f
+        step = -(inverse @ products)[:6]
         edge = step * [1, half, half, 1, half, half]
         noise = min(residual @ residual / (f.size - 8) / 2 * noise_jd.max(), 0.5)
         if iterations == 2:
