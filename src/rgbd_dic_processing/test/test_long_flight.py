@@ -80,8 +80,8 @@ def test_a_chain_follows_the_material() -> None:
 
 
 def test_stated_uncertainty_of_a_chain() -> None:
-    """Ten keyframes one after the other, grey levels with noise of 3: the errors of 768 coordinates have the size that
-    is stated, or are up to a quarter smaller. The keyframes' own noise cancels for the most part: without that, a chain
+    """Ten keyframes one after the other, grey levels with noise of 3: the errors of 768 coordinates, of which some 300 are
+    independent, have the size that is stated. The keyframes' own noise cancels for the most part: without that, a chain
     of ten would be 3.3 times as uncertain as one link."""
     steps, random = started(noise=3.0)
     ratios, sizes = [], []
@@ -93,18 +93,18 @@ def test_stated_uncertainty_of_a_chain() -> None:
         error = field.moved_px - moved_by(H, steps.reference.drawn_px)
         ratios.append(np.sqrt(np.nanmean((error / field.sigma_px) ** 2)))
         sizes.append(np.sqrt(np.nanmean(error**2)))
-    assert min(ratios) > 0.75 and max(ratios) < 1.12
-    assert 1 < sizes[-1] / sizes[0] < 2
+    assert min(ratios) > 0.8 and max(ratios) < 1.12
+    assert 0.8 < sizes[-1] / sizes[0] < 1.6
 
 
 def test_shared_noise_of_two_links_is_not_counted_twice() -> None:
     one = np.ones((1, 2))
     jacobian = np.eye(2)[None]
     for shared, expected in ((0.0, 2.0), (1.0, 1.0)):
-        chain = Chain(one, one, shared * one, 31.0)
+        chain = Chain(one, one, shared, 31.0)
         assert chain.uncertainty(jacobian, one) ** 2 == pytest.approx(expected * one)
     turned_by_90 = np.array([[[0, -1.0], [1, 0]]])
-    long = Chain(np.array([[4.0, 1.0]]), 0 * one, 0 * one, 31.0)
+    long = Chain(np.array([[4.0, 1.0]]), 0 * one, 0.0, 31.0)
     assert long.uncertainty(turned_by_90, 0 * one)[0] == pytest.approx([1, 2])
 
 

@@ -20,7 +20,6 @@ from .seed_maps import SeedMaps
 from .settings import SearchSettings
 
 Array = NDArray[np.float64]
-BORDER_NOISE = 11.0  # how much of the shared noise is lost at a subset's border as noise grows (docs/method.md)
 
 
 @dataclass(frozen=True)
@@ -29,19 +28,19 @@ class Chain:
 
     variance_px2: (M, 2), of their centres as places of the reference's material [px^2].
     link_px: (M, 2), standard uncertainty of the last link alone, from the keyframe before.
-    shared: (M, 2), how much of the keyframe's noise acts on the last link and on the next one alike, 0 to 1.
+    shared: how much of the keyframe's noise acts on the last link and on the next one alike, 0 to 1.
     subset_px: side of a subset in the image that the regions were drawn on [px], the largest of the keyframes.
     """
 
     variance_px2: Array
     link_px: Array
-    shared: Array
+    shared: float
     subset_px: float
 
     @classmethod
     def start(cls, count: int) -> Chain:
         """Of the reference."""
-        return cls(*np.zeros((3, count, 2)), 0.0)
+        return cls(*np.zeros((2, count, 2)), 0.0, 0.0)
 
     def uncertainty(self, jacobian: Array, sigma_px: Array) -> Array:
         """(M, 2) standard uncertainty [px] of subsets in an image, as places of the reference's material.
@@ -151,10 +150,8 @@ class Keyframe:
 
     def chain_from(self, found: Found, chosen: NDArray[np.bool_]) -> Chain:
         """Of the chosen (M,) subsets, to the image in which they were found."""
-        side_px, link_px = self._subsets.settings.subset_size, found.link_px[chosen]
-        noise = (link_px * side_px) ** 2 / 2  # variance of a pixel's noise over that of the pattern's gradient
-        lost = BORDER_NOISE * 4 / side_px * noise
-        shared = np.maximum(_shared_pixels(found.jacobian[chosen].mean(axis=0), side_px) - lost, 0)
+        link_px = found.link_px[chosen]
+        shared = _shared_pixels(found.jacobian[chosen].mean(axis=0), self._subsets.settings.subset_size)
         return Chain(found.sigma_px[chosen] ** 2, link_px, shared, self.subset_px)
 
 
