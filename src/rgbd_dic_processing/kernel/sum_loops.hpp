@@ -330,10 +330,13 @@ void product_sums_of(const Layout& layout, const float* columns, std::ptrdiff_t 
   const auto at_line = [&](int line, int column) __attribute__((always_inline)) {
     return load(columns + line * stride + column * kWidth);
   };
-  Floats of_means{};
-  for (int column = 0; column < layout.columns; ++column)
-    of_means += inside(layout, column) ? at_line(Sums::mean, column) : Floats{};
-  sums.f = static_cast<double>(sum(of_means)) * size;
+  Floats f_total{};
+  for (int column = 0; column < layout.columns; ++column) {
+    Floats part = static_cast<float>(size) * at_line(Sums::mean, column);  // and what its rounding left:
+    for (int level = 0; level < kSide; ++level) part += at_line(Sums::f + level, column);
+    f_total += inside(layout, column) ? part : Floats{};
+  }
+  sums.f = sum(f_total);
   const float mean = static_cast<float>(sums.f / layout.count());
 
   LaneSums<kPowers> jd[4], jj[3];

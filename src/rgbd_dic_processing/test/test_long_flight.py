@@ -80,9 +80,9 @@ def test_a_chain_follows_the_material() -> None:
 
 
 def test_stated_uncertainty_of_a_chain() -> None:
-    """Ten keyframes one after the other, grey levels with noise of 3: the errors of 768 coordinates, of which some 300 are
-    independent, have the size that is stated. The keyframes' own noise cancels for the most part: without that, a chain
-    of ten would be 3.3 times as uncertain as one link."""
+    """Ten keyframes one after the other, grey levels with noise of 3: the errors of 768 coordinates, of which some 300
+    are independent, have the size that is stated. The keyframes' own noise cancels for the most part: without that, a
+    chain of ten would be 3.3 times as uncertain as one link."""
     steps, random = started(noise=3.0)
     ratios, sizes = [], []
     for k in range(1, 22):
