@@ -216,6 +216,7 @@ void column_sums_of(const Layout& layout, const ReferencePixels& reference, std:
       for (int k = block_length(level, size); k > 0; --k, at += reference.stride, q += 1.0f) {
         const Floats jx = load(reference.jx + at), jy = load(reference.jy + at);
         const Floats dx = load(reference.dx + at), dy = load(reference.dy + at);
+        // Of the columns to come; a processor does not foresee that line after line is taken from anew.
         for (const float* plane : {reference.f, reference.jx, reference.jy, reference.dx, reference.dy})
           __builtin_prefetch(plane + at + 2 * kWidth);
         const Floats products[] = {jx * dx, jx * dy, jy * dx, jy * dy};
