@@ -17,16 +17,16 @@ REFERENCE_PART = 0.5  # of the variance is noise of the reference
 VIEWS, FLIGHTS = 60, 12
 
 
-def estimated(seed: int) -> Surface:
+def estimated(seed: int, reference_px: np.ndarray = GRID) -> Surface:
     """From views of a flat panel by a camera that stays turned to one side of where it took the reference."""
     rng = np.random.default_rng(seed)
-    estimate, every = SurfaceEstimate(CAMERA, GRID, 0.005, 3.0), np.arange(len(GRID))
-    sigma, of_reference = np.full_like(GRID, SIGMA_PX), rng.normal(0, SIGMA_PX * np.sqrt(REFERENCE_PART), GRID.shape)
-    rays = CAMERA.rays(GRID + of_reference)
+    estimate, every = SurfaceEstimate(CAMERA, reference_px, 0.005, 3.0), np.arange(len(reference_px))
+    sigma = np.full_like(reference_px, SIGMA_PX)
+    rays = CAMERA.rays(reference_px + rng.normal(0, SIGMA_PX * np.sqrt(REFERENCE_PART), reference_px.shape))
     for _ in range(VIEWS):
         R = Rotation.from_rotvec(np.radians(rng.normal([2.0, -1.5, 8.0], 1.0))).as_matrix()
         t = PLANE.d * (R - np.eye(3)) @ [0, 0, 1] + rng.normal(0, 0.01, 3)  # about the middle of the panel
-        own = rng.normal(0, SIGMA_PX * np.sqrt(1 - REFERENCE_PART), GRID.shape)
+        own = rng.normal(0, SIGMA_PX * np.sqrt(1 - REFERENCE_PART), reference_px.shape)
         seen = CAMERA.project(PLANE.points(rays) @ R.T + t) + own
         estimate.learn(PLANE, None, seen, sigma, every, 1.0, plane_homography(CAMERA, R, t, PLANE))
     return estimate.surface(PLANE, None)
@@ -39,6 +39,12 @@ def test_the_shape_is_known_as_well_as_is_stated() -> None:
     curved = [(surface.inverse_depth[3:], surface.covariance[3:, 3:]) for surface in errors]
     chi2 = np.mean([error @ np.linalg.solve(covariance, error) / 3 for error, covariance in curved])
     assert 0.3 < chi2 < 1.75, chi2
+
+
+def test_eight_subsets_are_enough_to_go_on() -> None:
+    """Fewer than the coefficients of their errors."""
+    surface = estimated(1, np.array([(30.0 + 40 * k, y) for k in range(4) for y in (100.0, 200.0)]))
+    assert np.all(np.isfinite(surface.covariance)) and np.all(np.linalg.eigvalsh(surface.covariance) > 0)
 
 
 def test_an_error_that_all_views_share_is_found() -> None:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 REFERENCE_PART = 0.5  # of the variance of a subset's place: both images are equally noisy
+UNSEEN = 1e-9  # of the prior's information, in what the first view's subsets do not tell apart
 DEGREE = 4  # of the smooth part, in x and y: the shape and the pose move pixels by polynomials of degree 3
 
 
@@ -30,11 +31,11 @@ class SharedReference:
     def __init__(self, reference_px: Array, parameters: int) -> None:
         known = np.isfinite(reference_px).all(axis=1)
         low, high = reference_px[known].min(axis=0), reference_px[known].max(axis=0)
-        x, y = (2 * (reference_px - low) / (high - low) - 1).T
+        x, y = (2 * (reference_px - low) / np.maximum(high - low, 1) - 1).T
         self._terms = np.array([x**i * y**j for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)])
         self.information, self.weighed = np.zeros((parameters, parameters)), np.zeros(parameters)
-        self._matrix, self._right = np.zeros(()), np.zeros(())
-        self._started = False
+        self._matrix: Array | None = None
+        self._right: Array | None = None
 
     def by_error(self, subsets: NDArray[np.intp], carried: Array) -> Array:
         """(q, M, 2), how some of the subsets move in a view with the q coefficients of the errors.
@@ -52,14 +53,14 @@ class SharedReference:
             variance_px2: (M, 2), of the places of its subsets.
         """
         k = len(self.weighed)
-        if not self._started:
-            self._started = True
+        if self._matrix is None:
             self._matrix, self._right = np.zeros_like(matrix), np.zeros_like(right)
             terms = self._terms[:, subsets]
             x, y = ((terms / variance) @ terms.T for variance in REFERENCE_PART * variance_px2.T)
-            self._matrix[k:, k:] = scipy.linalg.block_diag(x, y)
-        self._matrix = self._matrix + matrix
-        self._right = self._right + right
+            prior = scipy.linalg.block_diag(x, y)
+            self._matrix[k:, k:] = prior + UNSEEN * np.trace(prior) * np.eye(len(prior))
+        self._matrix += matrix
+        self._right += right
         onto = np.linalg.solve(self._matrix[k:, k:], self._matrix[k:, :k])
         self.information = self._matrix[:k, :k] - onto.T @ self._matrix[k:, :k]
         self.weighed = self._right[:k] - onto.T @ self._right[k:]
