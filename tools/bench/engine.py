@@ -48,9 +48,9 @@ def grid() -> NDArray[np.int32]:
     return regions().subset_centres(SIZE, SIZE, SUBSET, STEP)
 
 
-def seed_maps(centres_px: NDArray) -> SeedMaps:
+def seed_maps(centres_px: NDArray, threads: int = 1) -> SeedMaps:
     """What seeds are made of, once for all frames."""
-    return SeedMaps(CAMERA, centres_px, reach_px=SUBSET / 2)
+    return SeedMaps(CAMERA, centres_px, reach_px=SUBSET / 2, threads=threads)
 
 
 def seeds(homography: NDArray, maps: SeedMaps) -> NDArray[np.float64]:

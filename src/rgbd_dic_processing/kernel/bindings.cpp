@@ -20,11 +20,14 @@
 #include "reference.hpp"
 #include "seed_maps.hpp"
 #include "spline_image.hpp"
+#include "threads.hpp"
 
 namespace py = pybind11;
 
 namespace rgbd_dic {
 namespace {
+
+constexpr std::ptrdiff_t kSeedBlock = 256;  // subsets: below, a thread costs more than it saves
 
 std::string describe(const py::array& array) {
   return py::str(array.dtype()).cast<std::string>() + " of shape " +
@@ -170,7 +173,8 @@ const std::int32_t* checked_indices(const std::optional<py::array>& indices, py:
 
 py::array_t<double> seed_maps(const py::array& stencil, const py::array& homography, const py::array& lens,
                               double reach, const std::optional<py::array>& offsets,
-                              const std::optional<py::array>& indices) {
+                              const std::optional<py::array>& indices, int threads) {
+  threads = checked_threads(threads);
   const auto* points = checked<double>(stencil, "stencil", {9, -1, 2}, "float64 of shape (9, N, 2)");
   const auto* h = checked<double>(homography, "homography", {3, 3}, "float64 of shape (3, 3)");
   const auto* of_lens = checked<double>(lens, "lens", {6}, "float64 of shape (6,)");
@@ -184,10 +188,16 @@ py::array_t<double> seed_maps(const py::array& stencil, const py::array& homogra
   py::array_t<double> maps({count, py::ssize_t{2}, py::ssize_t{6}});
   auto* out = reinterpret_cast<Quadratic*>(maps.mutable_data());
   const Lens raw = {of_lens[0], of_lens[1], of_lens[2], of_lens[3], of_lens[4], of_lens[5]};
-  for (py::ssize_t i = 0; i < count; ++i) {
-    const py::ssize_t k = selected ? selected[i] : i;
-    out[i] = seed_map(points + 2 * k, 2 * subsets, h, raw, reach);
-    for (int axis = 0; away && axis < 2; ++axis) out[i][axis][0] += away[2 * k + axis];
+  const auto make = [&](int, std::ptrdiff_t begin, std::ptrdiff_t end) {
+    for (std::ptrdiff_t i = begin; i < end; ++i) {
+      const std::ptrdiff_t k = selected ? selected[i] : i;
+      out[i] = seed_map(points + 2 * k, 2 * subsets, h, raw, reach);
+      for (int axis = 0; away && axis < 2; ++axis) out[i][axis][0] += away[2 * k + axis];
+    }
+  };
+  {
+    const py::gil_scoped_release unlocked;
+    parallel_blocks(count, kSeedBlock, threads, make);
   }
   return maps;
 }
@@ -274,7 +284,7 @@ PYBIND11_MODULE(_kernel, module) {
 
   module.def(
       "seed_maps", &seed_maps, arg("stencil"), arg("homography"), arg("lens"), arg("reach"),
-      arg("offsets") = py::none(), arg("indices") = py::none(),
+      arg("offsets") = py::none(), arg("indices") = py::none(), arg("threads") = 1,
       "Seeds of all subsets (M = N), or of those of indices, int32 (M,): float64 (M, 2, 6). stencil: float64 "
       "(9, N, 2), ideal px of the reference: centres, and the points reach px around them; homography: "
       "float64 "

@@ -30,7 +30,7 @@ def prepare(reference, setup):
 
         return correlate
     centres, homography = engine.grid(), np.array(setup["homography"])
-    subsets, maps = ReferenceSubsets(reference, centres, settings), engine.seed_maps(centres)
+    subsets, maps = ReferenceSubsets(reference, centres, settings), engine.seed_maps(centres, settings.threads)
 
     def correlate(image):
         clock = [_now()]

@@ -103,7 +103,7 @@ class Keyframe:
         self.subset_px = max(chain.subset_px, side_px / scale)
         settings = replace(correlation, step=max(1, round(correlation.step * scale)))
         self._subsets = ReferenceSubsets(image, centres_px, settings)
-        self._maps = SeedMaps(camera, np.rint(centres_px), reach_px=side_px / 2)
+        self._maps = SeedMaps(camera, np.rint(centres_px), reach_px=side_px / 2, threads=correlation.threads)
         self._itself = self._subsets.itself()
         self.textured = self._itself.valid
 

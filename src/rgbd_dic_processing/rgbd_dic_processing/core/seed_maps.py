@@ -21,9 +21,9 @@ class SeedMaps:
     subset's own extent (a 3 x 3 stencil), in the basis [1, xi, eta, xi^2, xi eta, eta^2] of offsets from the centre.
     """
 
-    def __init__(self, camera: Camera, centres_px: Array, reach_px: float):
+    def __init__(self, camera: Camera, centres_px: Array, reach_px: float, threads: int = 1):
         self._lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.k1, camera.k2], float)
-        self._reach = float(reach_px)
+        self._reach, self._threads = float(reach_px), threads
         stencil = np.empty((len(STENCIL), len(centres_px), 2))
         for axis in (0, 1):
             np.add(centres_px[:, axis], reach_px * STENCIL[:, None, axis], out=stencil[:, :, axis])
@@ -40,4 +40,4 @@ class SeedMaps:
             else np.arange(self._ideal.shape[1], dtype=np.int32)[chosen]
         )
         H = np.ascontiguousarray(H, float)
-        return _kernel.seed_maps(self._ideal, H, self._lens, self._reach, offsets_px, indices)
+        return _kernel.seed_maps(self._ideal, H, self._lens, self._reach, offsets_px, indices, self._threads)
