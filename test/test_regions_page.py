@@ -63,6 +63,10 @@ class Hand:
         x, y, scale = self.view()
         return (at[0] - x) / scale, (at[1] - y) / scale
 
+    def wait_until_drawn(self) -> None:
+        """The page draws what was done in the next frame of the browser."""
+        self.page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+
     def choose(self, tool: str) -> None:
         self.page.get_by_role("button", name=tool, exact=True).click()
 
@@ -284,19 +288,22 @@ def test_zoom_and_pan_keep_to_the_image(drawn) -> None:
     under = hand.to_image(corner)
     page.mouse.move(*corner)
     page.mouse.wheel(0, -500)
-    page.wait_for_timeout(100)
+    hand.wait_until_drawn()
     np.testing.assert_allclose(hand.at(under), corner, atol=0.01)  # what is under the pointer stays there
     page.mouse.down()
     page.mouse.move(corner[0] + 40, corner[1] - 30)
     page.mouse.up()
-    page.wait_for_timeout(100)
+    hand.wait_until_drawn()
     np.testing.assert_allclose(hand.at(under), np.add(corner, (40, -30)), atol=0.01)
     scale = hand.view()[2]
     hand.choose("Zoom in")
+    hand.wait_until_drawn()
     assert hand.view()[2] > 1.05 * scale
     hand.choose("Zoom out")
+    hand.wait_until_drawn()
     assert hand.view()[2] == pytest.approx(scale)
     hand.choose("Fit")
+    hand.wait_until_drawn()
     np.testing.assert_allclose(hand.at((100, 100)), fitted, atol=0.01)
 
 

@@ -132,7 +132,10 @@ def _openings(ear: Ear, truth_m: NDArray[np.float64], folder: Path) -> dict[str,
     counted = [(stamp_ns, index) for stamp_ns, index in sent if stamp_ns >= begin_ns]
     answered = [(stamp_ns, index, *ear.heard[stamp_ns]) for stamp_ns, index in counted if stamp_ns in ear.heard]
     valid = [(index, opening) for _, index, _, opening in answered if opening.valid]
-    errors = [opening.opening_m - truth_m[index] for index, opening in valid]
+    index_of = dict(sent)
+    errors = [
+        opening.opening_m - (truth_m[index] - truth_m[index_of[opening.reference_stamp_ns]]) for index, opening in valid
+    ]
     latency_ms = np.array([(heard_ns - stamp_ns) * 1e-6 for stamp_ns, _, heard_ns, _ in answered] or [np.nan])
     missing = np.array([stamp_ns not in ear.heard for stamp_ns, _ in counted])
     return {
