@@ -125,9 +125,9 @@ def _cases(results: dict[str, Any]) -> str:
     surprise = ""
     if beyond:
         surprise = (
-            f"In {len(beyond)} of {len(rows)} cases the error is more than {SURPRISING:g} times what is stated. The same "
-            "91 images come again and again, each with the noise that it had, so one unlucky shape of the panel stays for "
-            "the whole case; whether that is all of it is not known."
+            f"In {len(beyond)} of {len(rows)} cases the error is more than {SURPRISING:g} times what is stated. The "
+            "same 91 images come again and again, each with the noise that it had, so one unlucky shape of the panel "
+            "stays for the whole case; whether that is all of it is not known."
         )
     return f"""## Cases
 
