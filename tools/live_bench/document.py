@@ -25,7 +25,7 @@ def page(results: dict[str, Any]) -> str:
     """The whole page."""
     parts = (_head, _asked, _cases, _costs, _profile, _slow, _method)
     blocks = "\n\n".join(part(results).strip() for part in parts).split("\n\n")
-    return "\n\n".join(_filled(block) for block in blocks) + "\n"
+    return "\n\n".join(_filled(block) for block in blocks if block.strip()) + "\n"
 
 
 def _filled(block: str) -> str:

@@ -5,9 +5,12 @@
 #include "loops.hpp"
 #include "simd.hpp"
 // After simd.hpp:
+#include "block_sums.hpp"
 #include "filter_loops.hpp"
 #include "sampling_loops.hpp"
-#include "sum_loops.hpp"
+// After block_sums.hpp:
+#include "product_loops.hpp"
+#include "residual_loops.hpp"
 
 namespace rgbd_dic::RGBD_DIC_ISA {
 

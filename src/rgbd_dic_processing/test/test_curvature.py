@@ -13,11 +13,11 @@ from rgbd_dic_processing.core.crack import CrackMeasurement
 from rgbd_dic_processing.core.curvature import Curvature, fit_curvature, tangents
 from rgbd_dic_processing.core.displacement import DisplacementMeasurement
 from rgbd_dic_processing.core.geometry import Plane
-from rgbd_dic_processing.core.panel_surface import SurfaceEstimate
 from rgbd_dic_processing.core.plane import PanelPlane, PlaneEstimate
 from rgbd_dic_processing.core.regions import Regions
 from rgbd_dic_processing.core.settings import CompensationSettings, CrackSettings, PlaneSettings
 from rgbd_dic_processing.core.status import FrameStatus
+from rgbd_dic_processing.core.surface_estimate import SurfaceEstimate
 from rgbd_dic_processing.nodes.messages import plane_from_message, plane_message
 from scenes import ExactScene, pair, pose
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from rgbd_dic_acquisition.calibration import Camera
 from rgbd_dic_processing.core.geometry import Plane, plane_homography
-from rgbd_dic_processing.core.panel_surface import Surface, SurfaceEstimate
+from rgbd_dic_processing.core.panel_surface import Surface
 from rgbd_dic_processing.core.reference_noise import SharedReference
+from rgbd_dic_processing.core.surface_estimate import SurfaceEstimate
 from scipy.spatial.transform import Rotation
 
 CAMERA = Camera(480, 360, 820.0, 820.0, 240.0, 180.0)

@@ -35,9 +35,7 @@ def add_parser(commands: Any) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    threadpool_limits(
-        1, user_api="blas"
-    )  # the matrices are small: threads of the linear algebra would but wait, busily
+    threadpool_limits(1, user_api="blas")  # matrices are small: threads would but wait for each other, busily
     settings, methods = measurement_settings(options)
     if options.threads is not None:
         settings = replace(settings, correlation=replace(settings.correlation, threads=options.threads))

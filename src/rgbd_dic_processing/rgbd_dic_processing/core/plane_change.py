@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from .geometry import Plane
 from .panel_motion import PanelMotion, Pose, pose_sensitivity
-from .panel_surface import DEFORMS_ALIKE_S
 from .sensor_delay import SensorDelay
+from .surface_estimate import DEFORMS_ALIKE_S
 
 Array = NDArray[np.float64]
 

@@ -22,7 +22,7 @@ from .error_sources import ErrorSource
 from .geometry import Plane, apply_homography, pose_from_homography
 from .joining import JoinedFrame
 from .panel_motion import PanelMotion, Pose
-from .panel_surface import Surface, SurfaceEstimate
+from .panel_surface import Surface
 from .plane import PlaneEstimate
 from .plane_change import PlaneChange, PlaneChanges
 from .plane_in_time import CarriedPlanes
@@ -33,6 +33,7 @@ from .sensor_delay import DelayEstimate, SensorDelay
 from .settings import CompensationSettings
 from .status import FrameStatus
 from .subset_field import Reference, SubsetField
+from .surface_estimate import SurfaceEstimate
 from .uncertainty import linear_modes, overlap_correlation, overlaps, quadratic_terms
 
 Array = NDArray[np.float64]
@@ -220,7 +221,7 @@ class ReferenceFrame:
         if not self.is_shaped:
             return view, None
         if stamp_ns != self.reference.stamp_ns:
-            self._surface.learn_beside_deformation(told, stamp_ns)
+            self._surface.learn_beside_deformation(told.view, stamp_ns)
         return view, told.surface
 
     def displacement(

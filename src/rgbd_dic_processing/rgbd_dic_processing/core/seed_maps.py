@@ -19,6 +19,10 @@ class SeedMaps:
     A first-order subset under perspective carries a second-order bias; so the kernel warps each subset by this map
     composed with the affine increment it solves for. The coefficients come from central differences over the
     subset's own extent (a 3 x 3 stencil), in the basis [1, xi, eta, xi^2, xi eta, eta^2] of offsets from the centre.
+
+    Args:
+        centres_px: (N, 2), in the raw reference. reach_px: half of a subset's side.
+        threads: that make the seeds of many subsets; 0 for all cores.
     """
 
     def __init__(self, camera: Camera, centres_px: Array, reach_px: float, threads: int = 1):

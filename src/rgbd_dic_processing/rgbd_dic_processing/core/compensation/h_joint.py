@@ -18,8 +18,9 @@ from rgbd_dic_acquisition.errors import MeasurementError
 from ..deformation import DeformationBasis
 from ..error_sources import ErrorSource
 from ..geometry import Plane, plane_homography, pose_from_homography
-from ..panel_surface import ShapeEvidence, Surface
+from ..panel_surface import Surface
 from ..settings import CompensationSettings
+from ..surface_estimate import ShapeEvidence, ShapeView
 from ..uncertainty import independent_modes, linear_modes, overlaps
 from .h_pose import Pose, displaced, fit_pose, pixel_jacobian, pose_jacobian
 from .joint_fit import JointFit
@@ -151,10 +152,18 @@ def fit_joint(view: FrameView, settings: CompensationSettings, surface: Surface 
             if surface is not None:
                 found = surface.changed(x[:shaped], covariance[POSE:told, POSE:told])
                 others = np.r_[:POSE, told : len(jacobian)]
-                stiffness = linear.stiffness(strains)[np.ix_(others, others)] / CONCENTRATED
-                seen = used, sigma_px * np.sqrt(shared), view.seed, data, weights
-                moves = jacobian[POSE:told], jacobian[others]
-                shape = ShapeEvidence(found, surface.inverse_depth, *seen, *moves, stiffness)
+                evidence = ShapeView(
+                    before=surface.inverse_depth,
+                    subsets=used,
+                    seed=view.seed,
+                    sigma_px=sigma_px * np.sqrt(shared),
+                    residual_px=data,
+                    weights=weights,
+                    by_shape=jacobian[POSE:told],
+                    by_others=jacobian[others],
+                    stiffness=linear.stiffness(strains)[np.ix_(others, others)] / CONCENTRATED,
+                )
+                shape = ShapeEvidence(found, evidence)
             nothing = np.zeros_like(confounded)
             return JointFit(
                 (R, t), used, x[shaped:], strains, gain, confounded, by_deformation, nothing, residual, misfit_px, shape

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from ..geometry import Plane
 from ..panel_motion import pose_sensitivity
-from ..panel_surface import ShapeEvidence
 from ..plane_change import PlaneChange
+from ..surface_estimate import ShapeEvidence
 from .h_pose import Pose, displaced
 from .joint_problem import POSE
 

@@ -18,8 +18,9 @@ from ..geometry import Plane, apply_homography, pose_from_homography
 from ..realignment import Realignment
 
 if TYPE_CHECKING:
-    from ..panel_surface import ShapeEvidence, Surface
+    from ..panel_surface import Surface
     from ..plane_change import PlaneChange
+    from ..surface_estimate import ShapeEvidence
 
 Array = NDArray[np.float64]
 MEDIAN_LENGTH = 1.1774  # of a normal residual in two dimensions, in standard deviations
