@@ -8,6 +8,8 @@ noise and the kernel itself can displace a subset.
 import dataclasses
 import re
 import resource
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -360,6 +362,36 @@ def test_threads_do_not_change_a_bit(reference, warped, homography):
         for field in dataclasses.fields(other):
             one, two = getattr(results[0], field.name), getattr(other, field.name)
             assert one.tobytes() == two.tobytes(), field.name
+
+
+FORKED = """
+import os, signal, sys
+import numpy as np
+from rgbd_dic_processing import _kernel
+
+grey = np.random.default_rng(1).integers(0, 255, (200, 200)).astype(np.uint8)
+points = np.stack(np.meshgrid(np.arange(20.0, 180, 4), np.arange(20.0, 180, 4)), axis=-1).reshape(-1, 2)
+seeds = np.zeros((len(points), 2, 6))
+seeds[:, :, 0], seeds[:, 0, 1], seeds[:, 1, 2] = points, 1, 1
+
+def found():
+    reference, target = _kernel.Reference(grey, points, 15, 5, threads=2), _kernel.Target(grey, 5)
+    return np.stack(_kernel.correlate(reference, target, seeds, threads=2)[:2])
+
+first = found()
+assert np.isfinite(first).all()
+child = os.fork()
+signal.alarm(30)
+same = found().tobytes() == first.tobytes()
+if child == 0:
+    os._exit(not (same and len(os.listdir("/proc/self/task")) == 2))
+sys.exit(not (same and os.waitpid(child, 0)[1] == 0))
+"""
+
+
+def test_a_forked_process_has_threads_of_its_own():
+    """Threads that are kept from loop to loop stay with the process that started them."""
+    subprocess.run([sys.executable, "-c", FORKED], check=True, timeout=60)
 
 
 @pytest.mark.parametrize("degree", [3, 5])
