@@ -41,13 +41,21 @@ class DeformationBasis:
         strains = [np.where(side[:, None], _strain(gradient), 0) for side in sides for gradient in gradients]
         stiff = len(strains)
         if len(sides) == 2:
-            modes += _rigid_modes(scaled, right)
+            modes += [*parting_modes(scaled, right)]
         strain, degree = np.reshape(strains, (stiff, -1)), np.tile(degrees, len(sides))
         gram = strain @ strain.T / len(points_m)
         energies = np.zeros((order, len(modes), len(modes)))
         for group, energy in enumerate(energies, start=1):
             energy[:stiff, :stiff] = np.where(np.logical_and.outer(degree == group, degree == group), gram, 0)
         return cls(length * np.array(modes), energies, np.bincount(degree)[1:])
+
+
+def parting_modes(points: Array, right: Mask) -> Array:
+    """(3, M, 2): the sides of the crack apart, along each other, and turned against each other; half of it for each."""
+    x, y = points.T
+    half = np.where(right, 0.5, -0.5)
+    zero = np.zeros_like(x)
+    return np.array([np.stack([half, zero], 1), np.stack([zero, half], 1), np.stack([-half * y, half * x], 1)])
 
 
 def _polynomials(points: Array, order: int) -> tuple[list[Array], list[Array], list[int]]:
@@ -79,11 +87,3 @@ def _strain(gradient: Array) -> Array:
     return np.stack(
         [gradient[:, 0, 0], gradient[:, 1, 1], (gradient[:, 0, 1] + gradient[:, 1, 0]) / np.sqrt(2)], axis=1
     )
-
-
-def _rigid_modes(points: Array, right: Mask) -> list[Array]:
-    """The sides apart, along each other, and turned against each other."""
-    x, y = points.T
-    half = np.where(right, 0.5, -0.5)
-    zero = np.zeros_like(x)
-    return [np.stack([half, zero], 1), np.stack([zero, half], 1), np.stack([-half * y, half * x], 1)]

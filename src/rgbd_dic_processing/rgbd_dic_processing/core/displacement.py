@@ -40,7 +40,7 @@ SOLVERS = {
 }
 
 
-NEEDS_GEOMETRY = ("h_joint", "h_3d", "pc_3d")  # methods that look at where the subsets are on the panel
+NEEDS_GEOMETRY = ("h_joint", "h_3d", "h_2d", "pc_3d")  # methods that look at where the subsets are on the panel
 LEARNT_AGAIN = 32  # early frames, so many at most, are kept until they are learnt from: half a second at 60 Hz
 LEAST_SIGMA_PX = 1e-5  # what the DIC's iteration leaves, also where two images are the same
 

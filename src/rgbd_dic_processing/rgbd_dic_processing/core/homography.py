@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .geometry import apply_homography
+from .geometry import apply_homography, homography_jacobian
 
 Array = NDArray[np.float64]
 
@@ -41,6 +41,43 @@ def fit_homography(source: Array, target: Array, refinements: int = 3) -> Array 
         H = (np.eye(3) + np.append(step, 0).reshape(3, 3)) @ H
     H = np.linalg.inv(to_target) @ H @ to_source
     return H / H[2, 2] if np.all(np.isfinite(H)) and H[2, 2] != 0 else None
+
+
+def fit_homography_beside(
+    H: Array, source: Array, target: Array, modes: Array, refinements: int = 5
+) -> tuple[Array, Array]:
+    """The homography (3, 3) near H that takes source (N, 2) to target (N, 2) while the points may move along modes.
+
+    Gauss-Newton on the distances in the target of H(source + sum c_k modes_k) over H and c.
+
+    Args:
+        modes: (k, N, 2), displacements of the source by each coefficient.
+
+    Returns:
+        The homography, and where it puts the displaced points (N, 2).
+    """
+    c = np.zeros(len(modes))
+    for _ in range(refinements):
+        displaced = source + np.tensordot(c, modes, 1)
+        jacobian, normalise = jacobian_beside(H, displaced, modes)
+        flat = jacobian.reshape(len(jacobian), -1)
+        step = np.linalg.solve(flat @ flat.T, flat @ (target - apply_homography(H, displaced)).ravel())
+        H, c = changed(H, normalise, step[:8]), c + step[8:]
+    return H, apply_homography(H, source + np.tensordot(c, modes, 1))
+
+
+def jacobian_beside(H: Array, source: Array, modes: Array) -> tuple[Array, Array]:
+    """(8 + k, N, 2), how the points move in the target by the step of `changed` and by each of k modes (k, N, 2) of the
+    source; and the similarity that `changed` takes."""
+    target = apply_homography(H, source)
+    normalise = _normalisation(target)
+    by_step = target_jacobian(apply_homography(normalise, target)) / normalise[0, 0]
+    return np.concatenate([by_step, np.einsum("nij,knj->kni", homography_jacobian(H, source), modes)]), normalise
+
+
+def changed(H: Array, normalise: Array, step: Array) -> Array:
+    """(1 + E) H, E a step (8,) in the coordinates that the similarity makes of the target's."""
+    return np.linalg.inv(normalise) @ (np.eye(3) + np.append(step, 0).reshape(3, 3)) @ normalise @ H
 
 
 def target_jacobian(target: Array) -> Array:

@@ -158,6 +158,11 @@ class CompensationSettings(Settings):
     deformation_order: int = setting(
         3, low=1, high=5, doc="h_joint: order of the polynomials that each side of the crack deforms by."
     )
+    parting: bool = setting(
+        True,
+        doc="h_2d: where the fixed region lies on both sides of the crack, how these part, slide and turn against each "
+        "other is estimated along.",
+    )
     bow_m: float = setting(
         0.001,
         unit="m",

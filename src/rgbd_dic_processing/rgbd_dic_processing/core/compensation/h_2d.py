@@ -1,4 +1,9 @@
-"""h_2d: the projective transform that best brings the fixed region's centres back, no depth (thesis 2.3.2)."""
+"""h_2d: the projective transform that best brings the fixed region's centres back, no depth (thesis 2.3.2).
+
+Fitted to both sides of a crack at once, it takes a part of the opening for motion, for a camera that comes nearer. So
+where the region lies on both sides, how these part, slide and turn against each other is estimated along; with
+`parting: false` nothing is, as in the thesis.
+"""
 
 from __future__ import annotations
 
@@ -6,13 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 from rgbd_dic_acquisition.errors import MeasurementError
 
+from ..deformation import parting_modes
 from ..error_sources import ErrorSource
 from ..geometry import apply_homography
-from ..homography import fit_homography, target_jacobian
+from ..homography import changed, fit_homography, fit_homography_beside, jacobian_beside
 from ..msac import msac
 from ..settings import CompensationSettings
 from ..uncertainty import linear_modes
-from .motion import Compensation, FrameView, HomographyMotion, misfit_of, reprojection_rms
+from .motion import Compensation, FrameView, HomographyMotion, misfit_of
 
 Array = NDArray[np.float64]
 
@@ -20,41 +26,44 @@ Array = NDArray[np.float64]
 def compensate(view: FrameView, settings: CompensationSettings) -> Compensation:
     """Projective MSAC on the fixed region, then least squares of the reprojection error over the inliers.
 
+    The turn of the sides is linearised: one of 0.1 rad against each other stretches both by 0.1 %.
+
     Raises:
         MeasurementError: if no homography fits enough subsets.
     """
-    source, target = view.reference_px[view.fixed], view.moved_px[view.fixed]
+    source, target, right = view.reference_px[view.fixed], view.moved_px[view.fixed], view.panel.right[view.fixed]
+    fewest = min(right.sum(), (~right).sum())
+    sides = (right, ~right) if settings.parting and fewest >= settings.min_subsets else ()
 
     def fit(chosen: NDArray[np.intp]) -> Array | None:
         return fit_homography(source[chosen], target[chosen])
 
     def residuals(homography: Array) -> Array:
-        return np.linalg.norm(target - apply_homography(homography, source), axis=1)
+        apart = target - apply_homography(homography, source)
+        for side in sides:  # what a side moved as a whole does not make it an outlier
+            apart[side] -= np.median(apart[side], axis=0)
+        return np.linalg.norm(apart, axis=1)
 
     homography, inliers = msac(len(source), 4, fit, residuals, settings.inlier_px, settings.max_trials)
     if inliers.sum() < settings.min_subsets:
         raise MeasurementError(
             f"h_2d: {inliers.sum()} subsets of the fixed region agree, at least {settings.min_subsets} needed"
         )
-    used = view.fixed[inliers]
-    motion = HomographyMotion(homography)
-    misfit_px = misfit_of(view.moved_px[used] - motion.move(view.reference_px[used]), view.sigma_px[used])
-    modes, coupling = _modes(homography, view, used, misfit_px)
-    sources = (ErrorSource.MOTION,) * len(modes)
-    return Compensation(motion, modes, sources, coupling, reprojection_rms(motion, view, used), misfit_px)
-
-
-def _modes(
-    homography: Array, view: FrameView, used: NDArray[np.intp], misfit_px: float
-) -> tuple[tuple[HomographyMotion, ...], Array]:
-    """The homographies (1 + E) H, E each of the independent errors of the eight parameters; their coupling."""
-    target = apply_homography(homography, view.reference_px[used])
-    centre, spread = target.mean(axis=0), target.std()
-    normalise = np.array([[1 / spread, 0, -centre[0] / spread], [0, 1 / spread, -centre[1] / spread], [0, 0, 1]])
-    jacobian = spread * target_jacobian((target - centre) / spread)
+    used, found_px = view.fixed[inliers], target[inliers]
+    points, to_points, parting = source[inliers], np.eye(3), np.zeros((0, len(used), 2))
+    fitted_px = apply_homography(homography, points)
+    if sides:  # on the panel, where all of a side moves alike
+        points = view.panel.points_m[used]
+        to_points, parting = fit_homography(source[inliers], points), parting_modes(points, right[inliers])
+        homography, fitted_px = fit_homography_beside(homography @ np.linalg.inv(to_points), points, found_px, parting)
+    misfit_px = misfit_of(found_px - fitted_px, view.sigma_px[used])
+    jacobian, normalise = jacobian_beside(homography, points, parting)
     normal_matrix = np.einsum("pma,qma->pq", jacobian, jacobian)
-    sensitivity = np.einsum("pq,qma->pma", np.linalg.inv(normal_matrix), jacobian)
-    modes, coupling = linear_modes(sensitivity, np.hypot(view.sigma_px, misfit_px), view.correlation, used)
-    back = np.linalg.inv(normalise)
-    moved = [back @ (np.eye(3) + np.append(mode, 0).reshape(3, 3)) @ normalise @ homography for mode in modes]
-    return tuple(HomographyMotion(changed) for changed in moved), coupling
+    sensitivity = np.einsum("pq,qma->pma", np.linalg.inv(normal_matrix)[:8], jacobian)
+    steps, coupling = linear_modes(sensitivity, np.hypot(view.sigma_px, misfit_px), view.correlation, used)
+    motion, *modes = (
+        HomographyMotion(changed(homography, normalise, step) @ to_points) for step in (np.zeros(8), *steps)
+    )
+    sources = (ErrorSource.MOTION,) * len(modes)
+    residual_px = float(np.sqrt(np.mean(np.sum((found_px - fitted_px) ** 2, axis=1))))
+    return Compensation(motion, tuple(modes), sources, coupling, residual_px, misfit_px)

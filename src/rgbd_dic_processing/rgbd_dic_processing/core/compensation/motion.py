@@ -48,7 +48,7 @@ class FrameView:
     reference_plane: the panel in the reference frame.
     plane: the panel in this frame, from the paired ToF frame; None if there is none.
     seed: homography (3, 3) reference -> image that the DIC started from.
-    panel: where the subsets are on the panel; None for h_pose and h_2d, which need not know.
+    panel: where the subsets are on the panel; None for h_pose, which need not know.
     carried: the pose (R, t) along which `plane` was carried from planes of the reference; None if it was not.
     surface: the panel's shape, for a solver that refines it; None where it is flat, or is taken off moved_px already.
     changes: `PlaneChanges.at_image` of this frame; None for a solver that does not ask.

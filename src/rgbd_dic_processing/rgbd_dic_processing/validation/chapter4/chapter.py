@@ -17,6 +17,7 @@ from .regions import REGIONS, usual_region
 from .scenes import Values, laboratory_values
 
 METHODS = tuple(SOLVERS)
+EVERY = (*METHODS, *measuring.VARIANTS)
 HARD = (("rigid_half", "h_pose"), ("beam", "h_joint"))  # fields of the hard flights, and the method for each
 MAPPED = ("beam", 1)  # the laboratory whose maps and histories are drawn, and compared with the 3D DIC
 SEEDS, OF_SEEDS = (1, 2, 3, 4, 5), ("seeds", "region_seeds", "budget_seeds", "hard_seeds")
@@ -137,7 +138,7 @@ def run_chapter4(folder: Path, scope: Scope, workers: int = 2, progress: Progres
         for source in scope.sources
         for seed in scope.budget_seeds
     }
-    usual = [(field, seed, method, usual_region(field)) for field, seed in labs for method in METHODS]
+    usual = [(field, seed, method, usual_region(field)) for field, seed in labs for method in EVERY]
     others = [
         (field, seed, method, region)
         for field in scope.without_rigid_part

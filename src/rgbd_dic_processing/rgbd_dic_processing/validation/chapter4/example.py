@@ -12,7 +12,7 @@ from rgbd_dic_acquisition.simulator.laboratory import Laboratory
 from ...core.displacement_field import DisplacementField
 from ...runs import Run
 from ..running import Task
-from .measuring import replay
+from .measuring import VARIANTS, replay
 from .planes import Settled
 from .recording import load_recording, regions_file
 from .regions import regions_of
@@ -27,7 +27,8 @@ def process_task(**arguments: Any) -> Task:
 def process(folder: Path, laboratory: Values, recording: str, planes: Settled, methods: list[str], region: str) -> str:
     """Write the run; returns the name of its folder, which `rgbd-dic report` takes too.
 
-    The maps are of one image: of those that all methods measured, the one with the widest true opening.
+    The maps are of one image: of those that all methods measured, the one with the widest true opening. There are maps
+    of `VARIANTS` too.
     """
     arguments = {"laboratory": laboratory, "recording": recording, "planes": planes}
     name = process_task(**arguments, methods=methods, region=region).key()
@@ -42,9 +43,13 @@ def process(folder: Path, laboratory: Values, recording: str, planes: Settled, m
     times = {one.field.stamp_ns: time_s for time_s, one in measured}
     complete = [stamp for stamp, fields in valid.items() if len(fields) == len(methods)]
     widest = max(complete, key=lambda stamp: lab.crack(times[stamp]).opening_m)
+    maps = {field.method: {"widest": field} for field in valid[widest]}
+    for variant, (method, settings) in VARIANTS.items():
+        fields = (one.field for _, one in replay(folder, lab, recording, planes, regions, (method,), settings))
+        maps[variant] = {"widest": next(field for field in fields if field.stamp_ns == widest)}
     run = Run(
         [one.opening for _, one in measured],
-        {field.method: {"widest": field} for field in valid[widest]},
+        maps,
         load_recording(folder, recording).first,
         {"laboratory": yaml.safe_dump(laboratory), "recording": recording, "region": region},
         {},

@@ -23,6 +23,10 @@ from .scenes import Values, open_laboratory
 
 Array = NDArray[np.float64]
 
+THESIS_H_2D = "h_2d_thesis"
+VARIANTS: dict[str, tuple[str, dict[str, dict[str, Any]]]] = {  # name -> method, and settings that it differs in
+    THESIS_H_2D: ("h_2d", {"compensation": {"parting": False}}),
+}
 TOUCHING_PX = 3  # beyond half a subset, within which of the crack a subset sees both sides
 HISTORY = ("time_s", "opening", "sliding", "u_opening", "u_sliding", "true_opening", "true_sliding", "map_x", "map_y")
 
@@ -41,6 +45,7 @@ def measure(
     the map [px]; NaN where it is invalid.
 
     Args:
+        method: of the product, or one of `VARIANTS`.
         region: for the motion, one of `REGIONS`.
         settings: of the processing, by stage, where they differ from the defaults.
         roll_deg: axes that are drawn wrong: "crack" or "x_axis" -> angle [degrees].
@@ -48,7 +53,8 @@ def measure(
     lab = open_laboratory(laboratory)
     regions = _rolled(regions_of(lab, regions_file(folder, recording), region), roll_deg or {})
     material, rows, reasons = None, [], []
-    for time_s, measurement in replay(folder, lab, recording, planes, regions, (method,), settings or {}):
+    method, settings = VARIANTS.get(method, (method, settings or {}))
+    for time_s, measurement in replay(folder, lab, recording, planes, regions, (method,), settings):
         field, opening = measurement.field, measurement.opening
         if material is None:
             material = lab.material(field.centres_px.astype(float), lab.reference_s)

@@ -7,11 +7,12 @@ from collections.abc import Iterator
 import numpy as np
 
 from ...page import Criterion
-from ..chapter import HARD, METHODS, Chapter4
+from ..chapter import EVERY, HARD, METHODS, Chapter4
 from ..errors import COMPONENTS, CrackHistory, rms
 
 THESIS_MM = {"h_3d": 0.038, "h_2d": 0.032}  # Table 4.6
 RIGID = ("h_pose", "h_joint")
+WHOLE_MM = {"opening": 0.012, "sliding": 0.005}
 MAP_LIMIT_PX = 0.02
 
 
@@ -32,8 +33,12 @@ def worst(histories: list[CrackHistory], component: str) -> float:
 
 
 def best_method(data: Chapter4) -> str:
-    """The one whose worst opening of all seeds and fields without a rigid part is the smallest."""
-    return min(METHODS, key=lambda method: worst(_of_all(data, method), "opening"))
+    """The one that is farthest below the limits, in the worst seed of all fields without a rigid part."""
+
+    def part(method: str) -> float:
+        return max(worst(_of_all(data, method), component) / limit for component, limit in WHOLE_MM.items())
+
+    return min(METHODS, key=part)
 
 
 def _of_all(data: Chapter4, method: str) -> list[CrackHistory]:
@@ -51,7 +56,7 @@ def _whole_panel(data: Chapter4) -> Iterator[Criterion]:
     method = best_method(data)
     histories = _of_all(data, method)
     words = f"no rigid part, whole panel, best method (`{method}`)"
-    for component, limit in zip(COMPONENTS, (0.012, 0.005), strict=True):
+    for component, limit in WHOLE_MM.items():
         yield Criterion(f"{words}: {component}", worst(histories, component), limit)
     yield Criterion(f"{words}: opening, stretch goal", worst(histories, "opening"), 0.005)
     for method, printed in THESIS_MM.items():
@@ -60,7 +65,7 @@ def _whole_panel(data: Chapter4) -> Iterator[Criterion]:
 
 
 def _uncertainty(data: Chapter4) -> Iterator[Criterion]:
-    for method in METHODS:
+    for method in EVERY:
         for component in COMPONENTS:
             ratio = max(pooled_ratio(data.of(field, method), component) for field in data.scope.fields)
             yield Criterion(f"`{method}`: RMS error of the {component} over what it states", ratio, 1.1, unit="")

@@ -32,10 +32,10 @@ from ....report.reference import draw as draw_reference
 from ....report.series import of_run as series_of_run
 from ....runs import Run
 from ..alignment import stereo_history
-from ..chapter import MAPPED, METHODS, Chapter4
+from ..chapter import EVERY, MAPPED, METHODS, Chapter4
 from ..errors import COMPONENTS, rms
 from ..example import time_of, truth_m
-from ..measuring import map_error_m
+from ..measuring import THESIS_H_2D, map_error_m
 from ..regions import usual_region
 from ..scenes import open_laboratory
 
@@ -58,13 +58,13 @@ def draw(data: Chapter4, run_folder: Path, folder: Path) -> list[Picture]:
 
 def _shown() -> list[str]:
     """The methods whose maps are drawn."""
-    return [method for method in ("h_2d", "h_3d", "h_joint") if method in METHODS]
+    return [method for method in (THESIS_H_2D, "h_2d", "h_3d", "h_joint") if method in EVERY]
 
 
 def _maps(data: Chapter4, run: Run, regions: Regions, folder: Path) -> list[Picture]:
     """Figures 4.15 and 4.16, and what each method loses of the field."""
     lab = open_laboratory(data.scope.laboratory(*MAPPED))
-    fields = {method: run.maps[method]["widest"] for method in method_order(METHODS)}
+    fields = {method: run.maps[method]["widest"] for method in method_order(EVERY)}
     some = next(iter(fields.values()))
     truth = truth_m(lab, some)
     errors = {method: 1e3 * map_error_m(field, truth, regions) for method, field in fields.items()}
