@@ -389,7 +389,7 @@ sys.exit(not (same and os.waitpid(child, 0)[1] == 0))
 """
 
 
-def test_a_forked_process_has_threads_of_its_own():
+def test_a_fork_starts_its_own():
     """Threads that are kept from loop to loop stay with the process that started them."""
     subprocess.run([sys.executable, "-c", FORKED], check=True, timeout=60)
 
