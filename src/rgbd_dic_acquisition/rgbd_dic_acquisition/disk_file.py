@@ -15,7 +15,10 @@ from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
+import numpy as np
+
 BLOCK_BYTES = 4096
+LARGE_BYTES = 16 * BLOCK_BYTES  # less is copied
 _DIRECT = getattr(os, "O_DIRECT", 0)
 _MOST_PIECES = 1024  # that the kernel takes at a time (IOV_MAX)
 
@@ -53,7 +56,7 @@ class DiskFile:
         Raises:
             OSError: the disk refuses.
         """
-        rest, end = [memoryview(piece) for piece in (self._gathered(pieces) if self.direct else pieces) if piece], at
+        rest, end = [memoryview(piece) for piece in (self._blocks(pieces) if self.direct else pieces) if piece], at
         try:
             while rest:
                 written = os.pwritev(self._descriptor, rest[:_MOST_PIECES], end)
@@ -89,14 +92,25 @@ class DiskFile:
         os.close(self._descriptor)
         self._descriptor = -1
 
-    def _gathered(self, pieces: Sequence[bytes]) -> list[memoryview]:
-        size, end = sum(map(len, pieces)), 0
+    def _blocks(self, pieces: Sequence[bytes]) -> list[memoryview]:
+        """These as whole blocks: right from the large ones that lie as in the file, the rest from a copy."""
+        size = sum(map(len, pieces))
         if size > len(self._memory):
             self._memory = memoryview(mmap.mmap(-1, size))
+        blocks, at, begun, end = [], 0, 0, 0  # `begun` to `end` are the copies that are not in `blocks` yet
         for piece in pieces:
-            self._memory[end : end + len(piece)] = piece
-            end += len(piece)
-        return [self._memory[:size]]
+            rest = memoryview(piece)
+            if len(piece) >= LARGE_BYTES and (place_in_block(piece) - at) % BLOCK_BYTES == 0:
+                first = -at % BLOCK_BYTES
+                last = first + (len(piece) - first) // BLOCK_BYTES * BLOCK_BYTES
+                self._memory[end : end + first] = rest[:first]
+                blocks += [self._memory[begun : end + first], rest[first:last]]
+                begun = end = end + first
+                rest = rest[last:]
+            self._memory[end : end + len(rest)] = rest
+            end += len(rest)
+            at += len(piece)
+        return [*blocks, self._memory[begun:end]]
 
     def _goes_past(self) -> bool:
         try:
@@ -113,3 +127,8 @@ class DiskFile:
     def _set(self, flag: int) -> None:
         flags = fcntl.fcntl(self._descriptor, fcntl.F_GETFL)
         fcntl.fcntl(self._descriptor, fcntl.F_SETFL, flags & ~_DIRECT | flag)
+
+
+def place_in_block(piece: bytes) -> int:
+    """Where in a block of the memory it begins."""
+    return np.frombuffer(piece, np.uint8).__array_interface__["data"][0] % BLOCK_BYTES

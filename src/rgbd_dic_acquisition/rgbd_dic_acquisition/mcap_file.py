@@ -21,7 +21,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, Header, MessageIndex, Metadata, Schema
 
 from .bag_metadata import Span
-from .disk_file import BLOCK_BYTES, DiskFile
+from .disk_file import BLOCK_BYTES, LARGE_BYTES, DiskFile, place_in_block
 from .mcap_end import MAGIC, bytes_of, end_of_file
 
 CHUNK_BYTES = 1024 * 1024
@@ -148,14 +148,16 @@ class McapFile:
         tail = struct.pack(f"<I{len(name)}sQ", len(name), name, stored_size)
         length = _CHUNK_HEAD.size + len(tail) + stored_size
         head = _CHUNK_HEAD.pack(Opcode.CHUNK, length - 9, min(times), max(times), size, checksum) + tail
+        before = self._room_before(len(head), pieces)
+        begin = self._end_at + len(before)
         messages, offsets = RecordBuilder(), {}
         for channel, entries in index.items():
-            offsets[channel] = self._end_at + length + messages.count
+            offsets[channel] = begin + length + messages.count
             MessageIndex(channel_id=channel, records=entries).write(messages)
         chunk = ChunkIndex(
             message_start_time=min(times),
             message_end_time=max(times),
-            chunk_start_offset=self._end_at,
+            chunk_start_offset=begin,
             chunk_length=length,
             message_index_offsets=offsets,
             message_index_length=messages.count,
@@ -163,7 +165,7 @@ class McapFile:
             compressed_size=stored_size,
             uncompressed_size=size,
         )
-        self._append([head, *stored, messages.end()])
+        self._append([before, head, *stored, messages.end()])
         self._chunks.append((chunk, {channel: len(entries) for channel, entries in index.items()}))
 
     def duplicate(self) -> int:
@@ -222,6 +224,14 @@ class McapFile:
         if self._file.direct:
             pieces = [*pieces, _filler(sum(map(len, pieces)))]
         self._end_at = self._file.write(pieces, self._end_at)
+
+    def _room_before(self, head_bytes: int, pieces: Sequence[bytes]) -> bytes:
+        """A record with which the largest piece of the next chunk comes to the place in a block that it has in memory."""
+        largest = max(range(len(pieces)), key=lambda number: len(pieces[number]))
+        if not self._file.direct or self._compression or len(pieces[largest]) < LARGE_BYTES:
+            return b""
+        at = self._end_at + head_bytes + sum(map(len, pieces[:largest]))
+        return _filler(at - place_in_block(pieces[largest]))
 
     def _end(self, metadata: Metadata) -> bytes:
         """All that comes after the last chunk."""

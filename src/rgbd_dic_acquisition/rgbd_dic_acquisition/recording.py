@@ -6,6 +6,7 @@ import os
 import threading
 import time
 from collections import Counter, deque
+from collections.abc import Iterable
 
 from .bag_writer import CHUNK_BYTES, BagWriter
 from .errors import BagError
@@ -49,7 +50,7 @@ class Recording:
         self._first_ns = 0
         self._wake, self._closing = threading.Event(), threading.Event()
         self._refused = ""
-        self._flushed_at = time.monotonic()
+        self._flushed_at = self._looked_at = time.monotonic()
         self._threads = [threading.Thread(target=work, daemon=True) for work in (self._write, self._sync)]
         for thread in self._threads:
             thread.start()
@@ -66,20 +67,21 @@ class Recording:
         self._topics[name] = (typename, transient_local, reliable)
         self._new_topics.append(name)
 
-    def put(self, topic: str, log_time_ns: int, data: bytes) -> None:
-        """Take a message of a topic that was announced. Never waits.
+    def put(self, messages: Iterable[tuple[str, int, bytes]]) -> None:
+        """Take messages: topic, log time [ns], data. Never waits.
 
-        Args:
-            log_time_ns: when it was received; 0 if that is not known yet: it then gets the first time that is.
+        The topic was announced. The log time is when it was received; 0 if that is not known yet: it then gets the first
+        time that is.
         """
         with self._lock:
-            if self.ended or self.buffered_bytes + len(data) > self._buffer_bytes:
-                self.dropped[topic] += 1
-                return
-            self._waiting.append((topic, log_time_ns, data))
-            self._first_ns = self._first_ns or log_time_ns
-            self.buffered_bytes += len(data)
-            self.recorded[topic] += 1
+            for topic, log_time_ns, data in messages:
+                if self.ended or self.buffered_bytes + len(data) > self._buffer_bytes:
+                    self.dropped[topic] += 1
+                    continue
+                self._waiting.append((topic, log_time_ns, data))
+                self._first_ns = self._first_ns or log_time_ns
+                self.buffered_bytes += len(data)
+                self.recorded[topic] += 1
         if self.buffered_bytes >= CHUNK_BYTES:
             self._wake.set()
 
@@ -134,8 +136,11 @@ class Recording:
     def _check_disk(self, more_bytes: int) -> None:
         if self._refused:
             raise BagError(self._refused)
-        self.free_bytes = self._free_bytes()
-        if self._reserve_bytes and self.free_bytes < more_bytes:
+        now = time.monotonic()
+        if now - self._looked_at > TURN_S / 2:
+            self.free_bytes, self._looked_at = self._free_bytes(), now
+        self.free_bytes -= more_bytes
+        if self._reserve_bytes and self.free_bytes < 0:
             raise BagError(
                 f"the bag {self.bag.path} was ended, as its disk is full but for {self._reserve_bytes / 1e6:.0f} MB: "
                 "make room, and start the recorder again with a new output"

@@ -40,7 +40,7 @@ def put_many(recording: Recording, first: int, count: int, every_s: float = 0.0)
     for number in range(first, first + count):
         if recording.ended:
             return number
-        recording.put("/t", 1 + number, message(number))
+        recording.put([("/t", 1 + number, message(number))])
         time.sleep(every_s)
     return first + count
 
@@ -72,7 +72,7 @@ def test_all_is_in_the_bag_and_nothing_is_kept(tmp_path):
 def test_the_first_known_time_is_that_of_what_came_before_it(tmp_path):
     recording = begin(tmp_path / "bag")
     for number, time_ns in enumerate((0, 0, 5, 6)):
-        recording.put("/t", time_ns, message(number))
+        recording.put([("/t", time_ns, message(number))])
     recording.close()
     with BagReader(tmp_path / "bag") as bag:
         assert [time_ns for _, _, time_ns, _ in bag.raw_messages()] == [5, 5, 5, 6]
@@ -83,7 +83,7 @@ def test_a_slow_topic_alone_does_not_wait_for_a_chunk_to_be_full(tmp_path):
     file, copies = tmp_path / "bag" / "bag_0.mcap", itertools.count()
     empty = file.stat().st_size
     for number in range(3):
-        recording.put("/t", 1 + number, message(number, 200))
+        recording.put([("/t", 1 + number, message(number, 200))])
     wait_for(lambda: file.stat().st_size > empty)
 
     def is_safe() -> bool:
@@ -143,7 +143,7 @@ def test_a_full_disk_ends_the_bag_before_it_is_full(tmp_path, split_mb):
         sent = put_many(recording, 0, 500, 0.002)
         assert sent < 500
         assert "was ended, as its disk is full but for 6 MB: make room, and start the recorder again" in recording.ended
-        recording.put("/t", 10_000, message(sent))
+        recording.put([("/t", 10_000, message(sent))])
         with pytest.raises(BagError, match="make room"):
             recording.close()
         kept = numbers(disk / "bag")
@@ -159,7 +159,7 @@ def test_a_disk_that_is_full_at_the_start_is_told_at_once(tmp_path):
     with memory_disk(tmp_path, 8) as disk:
         recording = begin(disk / "bag", reserve_mb=16)
         wait_for(lambda: recording.ended)
-        recording.put("/t", 1, message(0))
+        recording.put([("/t", 1, message(0))])
         with pytest.raises(BagError, match="make room"):
             recording.close()
         assert numbers(disk / "bag") == [] and recording.dropped == {"/t": 1}

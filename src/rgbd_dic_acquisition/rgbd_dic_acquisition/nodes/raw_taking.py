@@ -7,7 +7,7 @@ seventh of the recorder's processor time (docs/decisions/recorder.md).
 from __future__ import annotations
 
 import ctypes
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from rclpy.subscription import Subscription
 
@@ -17,7 +17,7 @@ _TAKE_FAILED = 401  # RCL_RET_SUBSCRIPTION_TAKE_FAILED: nothing is there
 _new_bytes, _address = ctypes.pythonapi.PyBytes_FromStringAndSize, ctypes.pythonapi.PyBytes_AsString
 _new_bytes.restype, _new_bytes.argtypes = ctypes.py_object, (ctypes.c_void_p, ctypes.c_ssize_t)
 _address.restype, _address.argtypes = ctypes.c_void_p, (ctypes.py_object,)
-_REALLOCATE = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p, ctypes.c_size_t, ctypes.c_void_p)
+_REALLOCATE = ctypes.PYFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p, ctypes.c_size_t, ctypes.c_void_p)
 
 
 class _Allocator(ctypes.Structure):
@@ -54,8 +54,7 @@ class _Info(ctypes.Structure):
     )
 
 
-@dataclass(frozen=True)
-class Taken:
+class Taken(NamedTuple):
     """A message as its publisher serialised it.
 
     Attributes:
@@ -72,7 +71,9 @@ class RawTaking:
     """Takes messages of subscriptions. Not for several threads."""
 
     def __init__(self) -> None:
-        rcl, utils = ctypes.CDLL("librcl.so"), ctypes.CDLL("librcutils.so")  # rclpy has loaded both
+        # rclpy has loaded both. As it does, no call lets another thread of Python in: with a callback in the midst of
+        # each, two threads would wait for each other several times a message.
+        rcl, utils = ctypes.PyDLL("librcl.so"), ctypes.PyDLL("librcutils.so")
         self._take = rcl.rcl_take_serialized_message
         self._take.argtypes = (ctypes.c_void_p, ctypes.POINTER(_Message), ctypes.POINTER(_Info), ctypes.c_void_p)
         utils.rcutils_get_default_allocator.restype = _Allocator

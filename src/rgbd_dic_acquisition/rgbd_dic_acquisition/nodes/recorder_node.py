@@ -20,6 +20,7 @@ from ..bag import BagWriter
 from ..errors import RgbdDicError, SettingsError
 from ..recording import Recording
 from .diagnostics import PERIOD_S, Diagnostics
+from .large_pages import use_large_pages
 from .parameters import declare, declare_path
 from .raw_taking import RawTaking
 from .recorder_health import RecorderHealth
@@ -28,7 +29,7 @@ from .ros_messages import message_class
 from .spinning import run
 
 DISCOVER_S = 0.2
-TAKE_S = 0.05
+TAKE_S = 0.1
 NEVER_DISCOVERED = ("/clock", "/rosout", "/parameter_events")
 MB = 1_000_000
 
@@ -114,7 +115,7 @@ class RecorderNode(Node):
             durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
         )
         self._recorded[topic] = self.create_subscription(
-            kind, topic, lambda data: self._record(topic, self.get_clock().now().nanoseconds, data), qos, raw=True
+            kind, topic, lambda data: self._record([(topic, self.get_clock().now().nanoseconds, data)]), qos, raw=True
         )
 
     def _is_published(self, topic: str) -> bool:
@@ -138,16 +139,18 @@ class RecorderNode(Node):
         for topic, subscription in self._recorded.items():
             while subscription and (message := self._taking.take(subscription)) is not None:
                 self._health.arrived(topic, message.number, self.count_publishers)
-                taken.append((message.received_ns, topic, message.data))
-        for received_ns, topic, data in sorted(taken, key=lambda message: message[0]):
-            now_ns = self.get_clock().now().nanoseconds
-            self._record(topic, now_ns if self._by_clock else received_ns or now_ns, data)
+                taken.append((topic, message.received_ns, message.data))
+        taken.sort(key=lambda message: message[1])
+        now_ns = self.get_clock().now().nanoseconds
+        self._record(
+            [(topic, now_ns if self._by_clock else received_ns or now_ns, data) for topic, received_ns, data in taken]
+        )
 
-    def _record(self, topic: str, log_time_ns: int, data: bytes) -> None:
-        if self._writes or self._latched[topic]:
-            self._recording.put(topic, log_time_ns, data)
-        else:
-            self._diagnostics.count("not recorded, as told")
+    def _record(self, messages: Sequence[tuple[str, int, bytes]]) -> None:
+        wanted = messages if self._writes else [message for message in messages if self._latched[message[0]]]
+        if len(wanted) < len(messages):
+            self._diagnostics.count("not recorded, as told", len(messages) - len(wanted))
+        self._recording.put(wanted)
 
 
 def _parse(entry: str) -> tuple[str, str, bool, bool]:
@@ -162,6 +165,8 @@ def _parse(entry: str) -> tuple[str, str, bool, bool]:
 
 
 def main(args: Sequence[str] | None = None) -> int:
+    if args is None:  # as a program
+        use_large_pages()
     return run(RecorderNode, args)
 
 
