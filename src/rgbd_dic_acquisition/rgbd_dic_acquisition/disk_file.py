@@ -1,8 +1,8 @@
 """A file that grows, written through the kernel's memory for files, or past it.
 
 Through that memory costs the processor more: a copy into it, page by page, bringing the pages to the disk, and giving
-them back. What goes past it comes from memory that begins at a page, and is whole blocks of the disk (open(2),
-O_DIRECT).
+them back. What goes past it is whole blocks of the disk, from memory where a page begins (open(2), O_DIRECT): the pages
+of a large message whose bytes have the same place in a page as in a block, and copies of what is between those.
 """
 
 from __future__ import annotations

@@ -3,7 +3,8 @@
 The `mcap` library's writer cannot end a chunk at a given time, nor take one back when the disk is full. It copies each
 message twice on its way and takes zlib's checksum of it, which makes it twice as expensive. The records other than
 messages and chunks are the library's. Where the file goes past the kernel's memory, a record of an application's own,
-which readers have to skip, fills up what is written to whole blocks. Format: https://mcap.dev/spec
+which readers have to skip, fills up what is written to whole blocks; another one before it lets the largest message be
+written from where it lies. Format: https://mcap.dev/spec
 """
 
 from __future__ import annotations
@@ -226,7 +227,7 @@ class McapFile:
         self._end_at = self._file.write(pieces, self._end_at)
 
     def _room_before(self, head_bytes: int, pieces: Sequence[bytes]) -> bytes:
-        """A record with which the largest piece of the next chunk comes to the place in a block that it has in memory."""
+        """A record that brings the largest piece of the next chunk to the place in a block that it has in memory."""
         largest = max(range(len(pieces)), key=lambda number: len(pieces[number]))
         if not self._file.direct or self._compression or len(pieces[largest]) < LARGE_BYTES:
             return b""

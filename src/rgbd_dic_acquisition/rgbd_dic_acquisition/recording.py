@@ -70,8 +70,8 @@ class Recording:
     def put(self, messages: Iterable[tuple[str, int, bytes]]) -> None:
         """Take messages: topic, log time [ns], data. Never waits.
 
-        The topic was announced. The log time is when it was received; 0 if that is not known yet: it then gets the first
-        time that is.
+        The topic was announced. The log time is when the message was received; 0 if that is not known yet: it then gets
+        the first time that is.
         """
         with self._lock:
             for topic, log_time_ns, data in messages:

@@ -71,8 +71,8 @@ class RawTaking:
     """Takes messages of subscriptions. Not for several threads."""
 
     def __init__(self) -> None:
-        # rclpy has loaded both. As it does, no call lets another thread of Python in: with a callback in the midst of
-        # each, two threads would wait for each other several times a message.
+        # rclpy has loaded both. As with rclpy's own calls, no other thread of Python runs meanwhile: it would have to be
+        # stopped again for the callback.
         rcl, utils = ctypes.PyDLL("librcl.so"), ctypes.PyDLL("librcutils.so")
         self._take = rcl.rcl_take_serialized_message
         self._take.argtypes = (ctypes.c_void_p, ctypes.POINTER(_Message), ctypes.POINTER(_Info), ctypes.c_void_p)
