@@ -136,6 +136,14 @@ def test_what_the_buffer_has_no_room_for_is_counted(tmp_path):
     assert recording.recorded == {"/t": len(kept)}
 
 
+def test_of_what_comes_together_all_that_has_room_is_kept(tmp_path):
+    recording = begin(tmp_path / "bag", buffer_mb=5)
+    recording.put([("/t", 1 + number, message(number, size)) for number, size in enumerate((MB, 6 * MB, MB))])
+    recording.close()
+    assert numbers(tmp_path / "bag") == [0, 2]
+    assert recording.dropped == {"/t": 1}
+
+
 @pytest.mark.parametrize("split_mb", [0, 4])
 def test_a_full_disk_ends_the_bag_before_it_is_full(tmp_path, split_mb):
     with memory_disk(tmp_path, 24) as disk:

@@ -71,7 +71,7 @@ class RawTaking:
     """Takes messages of subscriptions. Not for several threads."""
 
     def __init__(self) -> None:
-        # rclpy has loaded both. As with rclpy's own calls, no other thread of Python runs meanwhile: it would have to be
+        # rclpy has loaded both. As with its own calls, no other thread of Python runs meanwhile: it would have to be
         # stopped again for the callback.
         rcl, utils = ctypes.PyDLL("librcl.so"), ctypes.PyDLL("librcutils.so")
         self._take = rcl.rcl_take_serialized_message
