@@ -138,7 +138,7 @@ def test_what_the_buffer_has_no_room_for_is_counted(tmp_path):
 
 def test_of_what_comes_together_all_that_has_room_is_kept(tmp_path):
     recording = begin(tmp_path / "bag", buffer_mb=5)
-    recording.put([("/t", 1 + number, message(number, size)) for number, size in enumerate((MB, 6 * MB, MB))])
+    recording.put([("/t", 1, message(0)), ("/t", 2, bytes(6 * MB)), ("/t", 3, message(2))])
     recording.close()
     assert numbers(tmp_path / "bag") == [0, 2]
     assert recording.dropped == {"/t": 1}
