@@ -19,6 +19,7 @@ import numpy as np
 
 BLOCK_BYTES = 4096
 LARGE_BYTES = 16 * BLOCK_BYTES  # less is copied
+_LARGE_PAGE_BYTES = 2 << 20
 _DIRECT = getattr(os, "O_DIRECT", 0)
 _MOST_PIECES = 1024  # that the kernel takes at a time (IOV_MAX)
 
@@ -96,7 +97,7 @@ class DiskFile:
         """These as whole blocks: right from the large ones that lie as in the file, the rest from a copy."""
         size = sum(map(len, pieces))
         if size > len(self._memory):
-            self._memory = memoryview(mmap.mmap(-1, size))
+            self._memory = _memory(size)
         blocks, at, begun, end = [], 0, 0, 0  # `begun` to `end` are the copies that are not in `blocks` yet
         for piece in pieces:
             rest = memoryview(piece)
@@ -132,3 +133,11 @@ class DiskFile:
 def place_in_block(piece: bytes) -> int:
     """Where in a block of the memory it begins."""
     return np.frombuffer(piece, np.uint8).__array_interface__["data"][0] % BLOCK_BYTES
+
+
+def _memory(size: int) -> memoryview:
+    """In large pages, if the kernel has them."""
+    memory = mmap.mmap(-1, -(-size // _LARGE_PAGE_BYTES) * _LARGE_PAGE_BYTES, mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+    with suppress(OSError, AttributeError):
+        memory.madvise(mmap.MADV_HUGEPAGE)
+    return memoryview(memory)
