@@ -1,5 +1,6 @@
 """Messages <-> arrays: every encoding, padding and byte order, and what is refused."""
 
+import contextlib
 from types import SimpleNamespace
 
 import numpy as np
@@ -7,6 +8,8 @@ import pytest
 from rgbd_dic_acquisition.bag import make_message
 from rgbd_dic_acquisition.calibration import Calibration, Camera
 from rgbd_dic_acquisition.errors import BagError, ImageError
+from rgbd_dic_acquisition.message_types import serialise
+from rgbd_dic_acquisition.serialised_image import SerialisedImage
 
 from rgbd_dic_acquisition import messages
 
@@ -165,3 +168,27 @@ def test_imu_without_rates_says_so():
 def test_message_with_a_wrong_field_is_refused():
     with pytest.raises(BagError, match="has no field secs; it has sec, nanosec"):
         make_message("builtin_interfaces/msg/Time", secs=1)
+
+
+@pytest.mark.parametrize("frame_id", ["", "a", "camera", "camera_optical_frame"])
+@pytest.mark.parametrize(("encoding", "dtype"), [("mono8", "u1"), ("16UC1", "u2"), ("32FC1", "f4")])
+def test_image_in_its_bytes(frame_id, encoding, dtype):
+    """Whatever the lengths of the texts before them, on which it depends where the numbers begin."""
+    expected = np.arange(6).reshape(2, 3).astype(dtype)
+    data = serialise(messages.image_message(make_message, 1_700_000_000_123_456_789, frame_id, expected, encoding))
+    message = SerialisedImage.of(data)
+    assert (message.stamp_ns, message.frame_id) == (1_700_000_000_123_456_789, frame_id)
+    assert np.shares_memory(message.data, np.frombuffer(data, np.uint8))
+    np.testing.assert_array_equal(messages.image_from_message(message), expected)
+
+
+def test_bytes_that_are_no_image():
+    """All beginnings of a message, and what is left of it when a byte is another."""
+    data = serialise(messages.image_message(make_message, 1, "camera", np.zeros((2, 3), np.uint8), "mono8"))
+    for length in range(len(data)):
+        with pytest.raises(ImageError, match="no image message"):
+            SerialisedImage.of(data[:length])
+    for place in range(len(data)):
+        for byte in (0, 127, 255):
+            with contextlib.suppress(ImageError):
+                messages.image_from_message(SerialisedImage.of(bytes([*data[:place], byte, *data[place + 1 :]])))

@@ -109,7 +109,7 @@ def processing_nodes(
         NodeSpec(
             PROCESSING,
             "dic_node",
-            CAMERA_TOPICS,
+            ("camera/image_raw",),  # and one camera/camera_info, for which nobody need wait
             ("reference", "subset_field"),
             parameters={**calibration, **regions, **keep_up, **stage("correlation", "search", "renewal")},
         ),

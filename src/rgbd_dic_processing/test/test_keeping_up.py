@@ -39,7 +39,7 @@ class Middleware:
         diagnostics = SimpleNamespace(count=lambda name: self.counters.update([name]))
         self.keep_up = keeping_up.KeepUp(self, diagnostics)
 
-    def create_subscription(self, kind, topic, callback, qos):
+    def create_subscription(self, kind, topic, callback, qos, raw):
         self.callback = callback
         return SimpleNamespace(handle=Handle(self.arrived), msg_type=kind, raw=False)
 

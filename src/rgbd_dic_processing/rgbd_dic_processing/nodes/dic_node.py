@@ -17,6 +17,7 @@ from rgbd_dic_acquisition.nodes.diagnostics import Diagnostics
 from rgbd_dic_acquisition.nodes.parameters import declare, declare_path
 from rgbd_dic_acquisition.nodes.ros_messages import latched_qos, make
 from rgbd_dic_acquisition.nodes.spinning import run
+from rgbd_dic_acquisition.serialised_image import SerialisedImage
 from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger
 
@@ -63,7 +64,7 @@ class DicNode(Node):
         self.create_service(SetRegions, "~/set_regions", self._set_regions)
         self._keep_up = KeepUp(self, self.diagnostics)
         self.work = self._keep_up.work
-        self._keep_up.subscribe(Image, "camera/image_raw", self._image, qos)
+        self._keep_up.subscribe(Image, "camera/image_raw", self._image, qos, raw=True)
 
     def _start(self, camera: Camera) -> None:
         self._tracking = SubsetTracking(camera, self._regions, *self._settings)
@@ -104,18 +105,18 @@ class DicNode(Node):
             self._published_reference = reference
             self._reference_output.publish(reference_message(make, reference, frame_id))
 
-    def _image(self, message: Image) -> None:
+    def _image(self, serialised: bytes) -> None:
         received_ns = time.time_ns()
         if self._tracking is None:
             self.diagnostics.count("without camera_info")
             self.diagnostics.warn("images come, but no calibration: no calibration_file, and no camera/camera_info yet")
             return
+        message = SerialisedImage.of(serialised)
         try:
             image, reason = image_from_message(message), ""
         except ImageError as error:
             image, reason = None, str(error)
-        field = self._tracking.track(stamp_to_ns(message.header.stamp), image, reason)
-        frame_id = message.header.frame_id
+        field, frame_id = self._tracking.track(message.stamp_ns, image, reason), message.frame_id
         self._publish_reference(frame_id)
         if field.keyframe_stamp_ns not in (self._keyframe_ns, field.reference_stamp_ns):
             self.diagnostics.count("renewed keyframes")

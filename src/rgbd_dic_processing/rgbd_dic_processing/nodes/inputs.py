@@ -12,6 +12,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
+from rclpy.subscription import Subscription
 from rgbd_dic_acquisition.calibration import Calibration, Camera, load_calibration
 from rgbd_dic_acquisition.errors import CalibrationError
 from rgbd_dic_acquisition.nodes.diagnostics import Diagnostics
@@ -39,7 +40,7 @@ class CameraInput:
     """The camera's intrinsics: from `calibration_file`, or, without one, from `camera/camera_info`.
 
     The file wins; a CameraInfo that differs from it is warned about where the two are to be compared. `on_camera` is
-    called once.
+    called once. The first good CameraInfo is the last that is heard: sixty a second would be work for nothing.
     """
 
     def __init__(
@@ -54,14 +55,14 @@ class CameraInput:
         path = declare_path(node, "calibration_file", "calibration.yaml; camera_info is used if empty", required=False)
         self.calibration: Calibration | None = load_calibration(path) if path else None
         self.camera: Camera | None = None
+        self._heard: Subscription | None = None
         if compares or self.calibration is None:
-            node.create_subscription(CameraInfo, "camera/camera_info", self._camera_info, qos, raw=True)
-        self._checked = False
+            self._heard = node.create_subscription(CameraInfo, "camera/camera_info", self._camera_info, qos, raw=True)
         if self.calibration is not None:
             self._take(self.calibration.camera)
 
     def _camera_info(self, serialised: bytes) -> None:
-        if self._checked:
+        if self._heard is None:
             return
         info = deserialize_message(serialised, CameraInfo)
         try:
@@ -70,7 +71,8 @@ class CameraInput:
             if self.camera is None:
                 self._diagnostics.warn(str(error))
             return
-        self._checked = True
+        self._node.destroy_subscription(self._heard)
+        self._heard = None
         if self.camera is None:
             self._take(seen)
         elif not seen.agrees_with(self.camera):

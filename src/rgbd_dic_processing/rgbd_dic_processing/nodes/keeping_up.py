@@ -7,6 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from rclpy.exceptions import InvalidHandle
@@ -15,6 +16,7 @@ from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 from rgbd_dic_acquisition.nodes.diagnostics import Diagnostics
 from rgbd_dic_acquisition.nodes.parameters import declare
+from rgbd_dic_acquisition.nodes.raw_taking import RawTaking
 from rgbd_dic_acquisition.nodes.spinning import TURN_S
 from rgbd_dic_acquisition.settings import Settings, setting
 
@@ -74,15 +76,20 @@ class KeepUp:
         callback: Callable[[Any], None],
         qos: QoSProfile | int,
         left_out: Callable[[Any], None] = lambda _: None,
+        raw: bool = False,
     ) -> None:
-        """As `create_subscription`, for one topic; `left_out` is told of each message that is not worked off."""
+        """As `create_subscription`, for one topic; `left_out` is told of each message that is not worked off.
+
+        raw: messages are their serialised bytes, so that a large one that is left out costs a copy and no more.
+        """
         if not self.leaves_out:
-            self._node.create_subscription(kind, topic, callback, qos)
+            self._node.create_subscription(kind, topic, callback, qos, raw=raw)
             return
-        subscription = self._node.create_subscription(kind, topic, self._came, qos)
+        subscription = self._node.create_subscription(kind, topic, self._came, qos, raw=raw)
+        come = partial(_come_raw, RawTaking(), subscription) if raw else partial(_come, subscription)
 
         def turn() -> None:
-            self._waiting.extend(_come(subscription))
+            self._waiting.extend(come())
             while len(self._waiting) > 1 + (0 if self._skipped_within(CAUGHT_UP_S) else self._most):
                 self._skipped_s = time.monotonic()
                 self._diagnostics.count(SKIPPED)
@@ -108,3 +115,10 @@ def _come(subscription: Subscription) -> Iterator[Any]:
     with contextlib.suppress(InvalidHandle), subscription.handle:  # invalid if another node here calls in its place
         while (taken := subscription.handle.take_message(subscription.msg_type, subscription.raw)) is not None:
             yield taken[0]
+
+
+def _come_raw(taking: RawTaking, subscription: Subscription) -> Iterator[bytes]:
+    """The same of a raw subscription, with a copy less than rclpy makes."""
+    with contextlib.suppress(InvalidHandle):
+        while (taken := taking.take(subscription)) is not None:
+            yield taken.data

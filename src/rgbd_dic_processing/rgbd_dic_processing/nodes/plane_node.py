@@ -7,11 +7,13 @@ from typing import Any
 from rclpy.node import Node
 from rgbd_dic_acquisition.calibration import load_calibration
 from rgbd_dic_acquisition.errors import ImageError
+from rgbd_dic_acquisition.in_flight import header_stamp_ns
 from rgbd_dic_acquisition.messages import depth_from_message, points_from_message, stamp_to_ns
 from rgbd_dic_acquisition.nodes.diagnostics import Diagnostics
 from rgbd_dic_acquisition.nodes.parameters import declare, declare_path
 from rgbd_dic_acquisition.nodes.ros_messages import latched_qos, make
 from rgbd_dic_acquisition.nodes.spinning import run
+from rgbd_dic_acquisition.serialised_image import SerialisedImage
 from sensor_msgs.msg import Image, PointCloud2
 
 from rgbd_dic_msgs.msg import PlaneStamped
@@ -46,19 +48,33 @@ class PlaneNode(Node):
         self._keep_up = KeepUp(self, self.diagnostics)
         self.work = self._keep_up.work
         if self.declare_parameter("use_points", False).value:
-            self._keep_up.subscribe(PointCloud2, "tof/points", self._points, qos, self._left_out)
+            self._keep_up.subscribe(
+                PointCloud2,
+                "tof/points",
+                self._points,
+                qos,
+                lambda cloud: self._left_out(stamp_to_ns(cloud.header.stamp)),
+            )
         else:
-            self._keep_up.subscribe(Image, "tof/depth/image_raw", self._depth, qos, self._left_out)
+            self._keep_up.subscribe(
+                Image,
+                "tof/depth/image_raw",
+                self._depth,
+                qos,
+                lambda data: self._left_out(header_stamp_ns(data)),
+                raw=True,
+            )
         self.create_subscription(ReferenceMessage, "reference", self._reference, latched_qos())
         self.create_subscription(SubsetFieldMessage, "subset_field", self._subset_field, STREAM_DEPTH)
 
-    def _depth(self, message: Image) -> None:
+    def _depth(self, serialised: bytes) -> None:
         self._idle.touch()
+        message = SerialisedImage.of(serialised)
         try:
             depth, reason = depth_from_message(message), ""
         except ImageError as error:
             depth, reason = None, str(error)
-        self._publish(self._planes.add_depth(stamp_to_ns(message.header.stamp), depth, reason))
+        self._publish(self._planes.add_depth(message.stamp_ns, depth, reason))
 
     def _points(self, message: PointCloud2) -> None:
         self._idle.touch()
@@ -68,8 +84,8 @@ class PlaneNode(Node):
             points, reason = None, str(error)
         self._publish(self._planes.add_points(stamp_to_ns(message.header.stamp), points, reason))
 
-    def _left_out(self, message: Image | PointCloud2) -> None:
-        self._publish(self._planes.add_points(stamp_to_ns(message.header.stamp), None, self._keep_up.warning))
+    def _left_out(self, stamp_ns: int) -> None:
+        self._publish(self._planes.add_points(stamp_ns, None, self._keep_up.warning))
 
     def _subset_field(self, message: SubsetFieldMessage) -> None:
         self._idle.touch()
