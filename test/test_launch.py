@@ -225,6 +225,10 @@ def test_live_composed(describe, payload: Path) -> None:
     given = {"payload": str(payload), "composed": "true", "namespace": "left", "method": "h_pose,pc_3d", **NAMED}
     defaults = {name: item.default_value for name, item in arguments(description).items() if name not in given}
     (function,) = (item.function for item in description if hasattr(item, "function"))
+    after_dic, *apart = function({**defaults, **given, "composed": "after_dic"})
+    assert after_dic.arguments[:2] == ["--node", "pairing_node"] and apart[0].executable == "dic_node"
+    with pytest.raises(RgbdDicError, match="true, all, after_dic"):
+        function({**defaults, **given, "composed": "some"})
     composed, *apart = function({**defaults, **given})
     assert composed.executable == COMPOSED
     assert [node.executable for node in apart] == ["plane_node", "camera_node", "tof_node"]

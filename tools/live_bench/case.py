@@ -33,12 +33,12 @@ SETTLE_S = 2.0  # after the last image
 
 @dataclass(frozen=True)
 class Case:
-    """settings: `live`, `default`, or a path. threads: of the DIC; 0 for all cores."""
+    """composed: as of `rgbd-dic up`. settings: `live`, `default`, or a path. threads: of the DIC; 0 for all cores."""
 
     subsets: int
     recording: bool
     duration_s: float
-    composed: bool = False
+    composed: str = ""
     settings: str = "live"
     threads: int = 0
 

@@ -28,6 +28,11 @@ def page(results: dict[str, Any]) -> str:
     return "\n\n".join(_filled(block) for block in blocks if block.strip()) + "\n"
 
 
+def arrangement(case: dict[str, Any]) -> str:
+    """Of the nodes of a case."""
+    return {"": "apart", "after_dic": "composed after DIC", "all": "composed"}[case["composed"]]
+
+
 def _filled(block: str) -> str:
     if block.startswith(("#", "|", "```")):
         return block
@@ -71,8 +76,10 @@ With the default settings an
 image waits for its own ToF frame and for its plane, which the offline tool need not mind; with these, `h_pose` takes
 the reference plane from the ToF frames up to 0.2 s before the image, and waits for none
 ([decisions](decisions/content_not_arrival.md)). `--composed` puts the nodes that work on every image into one process,
-in which each hands its result on by a call; topics, names and recordings stay the same. The launch file for a payload
-has the argument `composed:=true`."""
+in which each hands its result on by a call; topics, names and recordings stay the same. Python does one thing at a time
+in a process, so `--composed after_dic` leaves dic_node, which takes half of the time, in one of its own
+([decisions](decisions/processes.md)). The launch file for a payload has the argument `composed`, which takes the same
+words."""
 
 
 def _asked(results: dict[str, Any]) -> str:
@@ -81,7 +88,7 @@ def _asked(results: dict[str, Any]) -> str:
         latency, memory = case["latency_ms"], _growth_mb(case)
         lost = case["sent"] - case["answered"]
         recorded = case["recorded"]["camera/image_raw"]
-        how = "composed" if case["case"]["composed"] else "apart"
+        how = arrangement(case["case"])
         for what, asked, measured, met in (
             ("openings a second", "60", f"{case['rate_hz']:.1f}", case["rate_hz"] > ASKED["rate"] - 0.1),
             ("images without an opening", "0", f"{lost} of {case['sent']}", lost == 0),
@@ -94,9 +101,9 @@ def _asked(results: dict[str, Any]) -> str:
     seconds = _main(results)[0]["case"]["duration_s"]
     return f"""## Asked and measured
 
-1,500 subsets, recording, settings of live.yaml, {seconds:.0f} s; each node a process of its own (apart), and composed.
-The latency is from the stamp of the image, taken when it is published, to the arrival of its opening in another
-process.
+1,500 subsets, recording, settings of live.yaml, {seconds:.0f} s; each node a process of its own (apart), and
+composed in two ways. The latency is from the stamp of the image, taken when it is published, to the arrival of its
+opening in another process.
 
 {table(("what", "nodes", "asked", "measured", "result"), rows)}"""
 
@@ -106,7 +113,7 @@ def _cases(results: dict[str, Any]) -> str:
         (
             f"{case['case']['subsets']:,}",
             case["case"]["settings"],
-            "composed" if case["case"]["composed"] else "apart",
+            arrangement(case["case"]),
             "yes" if case["case"]["recording"] else "no",
             f"{case['rate_hz']:.1f}",
             f"{case['sent'] - case['answered']} of {case['sent']}",
@@ -188,7 +195,7 @@ def _profile(results: dict[str, Any]) -> str:
     for case in _main(results):
         costs, answered_hz = case["costs"], case["rate_hz"]
         total = sum(cost["cpu"] for name, cost in costs.items() if name != "others")
-        how = "composed" if case["case"]["composed"] else "apart"
+        how = arrangement(case["case"])
         per_opening.append(f"{total / answered_hz * 1e3:.1f} ms {how}")
     budget = results["machine"]["cores"] / ASKED["rate"] * 1e3
     return f"""## Where the time goes

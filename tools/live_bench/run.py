@@ -1,6 +1,6 @@
 """`make live-bench`: the graph before a flight at full size, case by case, and docs/live.md.
 
---quick: ten seconds a case, two cases, no page. --full: ten minutes for the main case.
+--quick: ten seconds a case, three cases, no page. --full: ten minutes for the main case.
 """
 
 from __future__ import annotations
@@ -14,8 +14,9 @@ import time
 from pathlib import Path
 
 from case import Case, measure
-from document import page
+from document import arrangement, page
 from flight import flight
+from rgbd_dic_processing.graph import AFTER_DIC, ALL
 from stages import stages
 
 ROOT = Path(__file__).parents[2]
@@ -23,14 +24,15 @@ RAW = ROOT / "results" / "live_bench"
 MAIN = Case(1500, recording=True, duration_s=60.0)
 CASES = (
     MAIN,
-    Case(1500, recording=True, duration_s=60.0, composed=True),
+    Case(1500, recording=True, duration_s=60.0, composed=AFTER_DIC),
+    Case(1500, recording=True, duration_s=60.0, composed=ALL),
     Case(500, recording=True, duration_s=20.0),
     Case(500, recording=False, duration_s=20.0),
     Case(1500, recording=False, duration_s=20.0),
     Case(5000, recording=True, duration_s=20.0),
     Case(5000, recording=False, duration_s=20.0),
-    Case(500, recording=True, duration_s=20.0, composed=True),
-    Case(5000, recording=True, duration_s=20.0, composed=True),
+    Case(500, recording=True, duration_s=20.0, composed=AFTER_DIC),
+    Case(5000, recording=True, duration_s=20.0, composed=AFTER_DIC),
     Case(1500, recording=True, duration_s=20.0, settings="default"),
 )
 
@@ -38,13 +40,13 @@ CASES = (
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     length = parser.add_mutually_exclusive_group()
-    length.add_argument("--quick", action="store_true", help="two cases of ten seconds; docs/live.md stays as it is")
+    length.add_argument("--quick", action="store_true", help="three cases of ten seconds; docs/live.md stays as it is")
     length.add_argument("--full", action="store_true", help="ten minutes for the main case, apart and composed")
     options = parser.parse_args()
     os.environ.setdefault("ROS_DOMAIN_ID", "72")
     cases = [_longer(case) for case in CASES] if options.full else list(CASES)
     if options.quick:
-        cases = [Case(1500, recording=True, duration_s=10.0, composed=composed) for composed in (False, True)]
+        cases = [Case(1500, recording=True, duration_s=10.0, composed=composed) for composed in ("", AFTER_DIC, ALL)]
     played = flight(RAW / "flight")
     results = []
     for number, case in enumerate(cases):
@@ -72,7 +74,7 @@ def _line(result: dict) -> str:
     case, latency = result["case"], result["latency_ms"]
     return (
         f"{case['subsets']} subsets, {'recording' if case['recording'] else 'not recording'}, "
-        f"{'composed' if case['composed'] else 'apart'}, settings {case['settings']}: "
+        f"{arrangement(case)}, settings {case['settings']}: "
         f"{result['rate_hz']:.1f} openings/s, "
         f"{result['sent'] - result['answered']} of {result['sent']} left out, latency {latency['50']:.0f} ms median, "
         f"{latency['99']:.0f} ms at the 99th percentile, error {result['rms_mm']:.4f} mm RMS"

@@ -17,6 +17,7 @@
 
 #include "icgn.hpp"
 #include "loops.hpp"
+#include "pose_fit.hpp"
 #include "reference.hpp"
 #include "seed_maps.hpp"
 #include "spline_image.hpp"
@@ -202,6 +203,37 @@ py::array_t<double> seed_maps(const py::array& stencil, const py::array& homogra
   return maps;
 }
 
+py::object fit_pose(const py::array& points, const py::array& target, const py::array& sigma,
+                    const py::array& rotation, const py::array& translation,
+                    const std::array<double, 4>& lens, double robust_sigmas, double median_length,
+                    double converged_px, int max_iterations, int misfit_iterations) {
+  constexpr const char* kPairs = "float64 of shape (M, 2), as many as the points";
+  const auto* xyz = checked<double>(points, "points", {-1, 3}, "float64 of shape (M, 3)");
+  const py::ssize_t count = points.shape(0);
+  const auto* seen = checked<double>(target, "target", {count, 2}, kPairs);
+  const auto* sure = checked<double>(sigma, "sigma", {count, 2}, kPairs);
+  const auto* R = checked<double>(rotation, "rotation", {3, 3}, "float64 of shape (3, 3)");
+  const auto* t = checked<double>(translation, "translation", {3}, "float64 of shape (3,)");
+  if (count == 0) return py::none();
+  Pose start;
+  std::copy_n(R, 9, start.R.begin());
+  std::copy_n(t, 3, start.t.begin());
+  PoseFit fit({count, xyz, seen, sure, lens[0], lens[1], lens[2], lens[3]},
+              {robust_sigmas, median_length, converged_px, max_iterations, misfit_iterations}, start);
+  bool converged;
+  {
+    const py::gil_scoped_release unlocked;
+    converged = fit.run();
+  }
+  if (!converged) return py::none();
+  py::array_t<double> turn({3, 3}), shift(3), jacobian({py::ssize_t{6}, count, py::ssize_t{2}}),
+      weights({count, py::ssize_t{2}});
+  std::copy_n(fit.pose().R.begin(), 9, turn.mutable_data());
+  std::copy_n(fit.pose().t.begin(), 3, shift.mutable_data());
+  fit.copy(jacobian.mutable_data(), weights.mutable_data());
+  return py::make_tuple(turn, shift, jacobian, weights, fit.misfit_px());
+}
+
 py::tuple correlate(const Reference& reference, SplineImage& target, const py::array& seeds,
                     const std::optional<py::array>& indices, int max_iterations, double tolerance_px,
                     double min_zncc, double min_contrast, double max_shift_px, double max_misfit_px,
@@ -291,6 +323,15 @@ PYBIND11_MODULE(_kernel, module) {
       "(3, 3), ideal px; lens: float64 fx, fy, cx, cy, k1, k2 of the target; offsets: float64 (N, 2), px, "
       "are "
       "added.");
+
+  module.def(
+      "fit_pose", &fit_pose, arg("points"), arg("target"), arg("sigma"), arg("rotation"), arg("translation"),
+      arg("lens"), arg("robust_sigmas"), arg("median_length"), arg("converged_px"), arg("max_iterations"),
+      arg("misfit_iterations"),
+      "Robust Gauss-Newton from a pose, float64 (3, 3) and (3,), to the one in which points, float64 (M, "
+      "3), m, are seen at target, px, with uncertainty sigma, px, both float64 (M, 2); lens: fx, fy, cx, "
+      "cy. Returns the pose, the Jacobian (6, M, 2), the weights (M, 2) and the misfit, px; None if it "
+      "does not converge.");
 
   module.def("correlate", &correlate, arg("reference"), arg("target"), arg("seeds"),
              arg("indices") = py::none(), arg("max_iterations") = 20, arg("tolerance_px") = 1e-4,

@@ -10,7 +10,7 @@ from launch_ros.actions import Node
 from rgbd_dic_acquisition.errors import RgbdDicError
 from rgbd_dic_acquisition.payload import load_payload
 from rgbd_dic_processing.graph import GraphFiles, all_topics, operator_page, processing_nodes, recorder
-from rgbd_dic_processing.launching import COMMON_ARGUMENTS, chosen, is_true, live_actions, path_argument
+from rgbd_dic_processing.launching import COMMON_ARGUMENTS, chosen, live_actions, path_argument
 from rgbd_dic_processing.live_sensors import live_calibration, live_sensors
 
 ARGUMENTS = (
@@ -27,7 +27,8 @@ ARGUMENTS = (
     DeclareLaunchArgument(
         "composed",
         default_value="false",
-        description="the nodes that work on every image in one process (docs/live.md)",
+        description="true or all: the nodes that work on every image in one process; after_dic: those after the DIC "
+        "(docs/live.md)",
     ),
     *COMMON_ARGUMENTS,
 )
@@ -48,7 +49,7 @@ def _nodes(context: LaunchContext) -> list[Node]:
     output = path_argument(context, "output")
     if output is not None:
         nodes.append(recorder(output, all_topics(nodes)))
-    return live_actions(context, nodes, is_true(context, "composed"))
+    return live_actions(context, nodes)
 
 
 def generate_launch_description() -> LaunchDescription:

@@ -46,8 +46,11 @@ TOF_TOPICS = (
 )
 
 LIVE_WAITING = 3  # frames that a busy node may have to catch up with before it leaves some out
-# What works on every image; put together, these run one after another. A plane takes longer, and comes beside them.
+# What works on every image, and may share a process; there they run one after another. A plane takes longer, and comes
+# beside them.
 COMPOSABLE = ("dic_node", "pairing_node", "compensation_node", "crack_opening_node")
+ALL, AFTER_DIC = "all", "after_dic"
+SHARING = {ALL: COMPOSABLE, AFTER_DIC: COMPOSABLE[1:]}  # by what `composed` says; the DIC takes half of the time
 COMPOSED = "composed_nodes"
 RECORDER = "recorder_node"
 SENSOR_TOPICS = (*CAMERA_TOPICS, *TOF_TOPICS, "tof/points", "imu/data")

@@ -15,11 +15,12 @@ from launch.actions import DeclareLaunchArgument
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
+from rgbd_dic_acquisition.errors import RgbdDicError
 
 from .commands.options import measurement_settings
 from .core.displacement import SOLVERS
 from .core.settings import ProcessingSettings
-from .graph import COMPOSABLE, COMPOSED, PROCESSING, NodeSpec
+from .graph import ALL, COMPOSED, PROCESSING, SHARING, NodeSpec
 
 COMMON_ARGUMENTS = (
     DeclareLaunchArgument("namespace", default_value="", description="namespace of all nodes and topics"),
@@ -90,9 +91,17 @@ def composed_action(context: LaunchContext, specs: list[NodeSpec]) -> Node:
     return Node(package=PROCESSING, executable=COMPOSED, arguments=arguments, output="screen")
 
 
-def live_actions(context: LaunchContext, specs: list[NodeSpec], composed: bool) -> list[Node]:
-    """All nodes of a live graph: each by itself, or those that can be composed in one process."""
-    together = [spec for spec in specs if composed and spec.executable in COMPOSABLE]
+def live_actions(context: LaunchContext, specs: list[NodeSpec]) -> list[Node]:
+    """All nodes of a live graph: each by itself, or those in one process that the argument `composed` names.
+
+    Raises:
+        RgbdDicError: if it names none.
+    """
+    said = LaunchConfiguration("composed").perform(context).lower()
+    sharing = {"false": (), "true": SHARING[ALL], **SHARING}
+    if said not in sharing:
+        raise RgbdDicError(f"composed:={said} is not known: give one of {', '.join(sharing)}")
+    together = [spec for spec in specs if spec.executable in sharing[said]]
     apart = [node_action(spec, use_sim_time=False) for spec in specs if spec not in together]
     return [*([composed_action(context, together)] if together else []), *apart]
 

@@ -14,7 +14,7 @@ import yaml
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 from rgbd_dic_acquisition.errors import RgbdDicError
 
-from .graph import COMPOSABLE, COMPOSED, PROCESSING, RECORDER, NodeSpec
+from .graph import COMPOSED, PROCESSING, RECORDER, SHARING, NodeSpec
 
 END_TIMEOUT_S = 10.0
 RECORDER_TIMEOUT_S = 20.0  # it may have half a gigabyte to bring to a slow disk
@@ -42,9 +42,9 @@ class GraphProcesses:
         command = [str(_executable(spec.package, spec.executable)), *self._arguments(spec)]
         return self._run(spec.node_name, command)
 
-    def start_all(self, specs: list[NodeSpec], composed: bool = False) -> None:
-        """Start nodes; if they are to be `composed`, those that can be in one process together."""
-        together = [spec for spec in specs if composed and spec.executable in COMPOSABLE]
+    def start_all(self, specs: list[NodeSpec], composed: str = "") -> None:
+        """Start nodes; those that `composed`, a key of `SHARING`, names in one process together."""
+        together = [spec for spec in specs if spec.executable in SHARING.get(composed, ())]
         if together:
             command = [str(_executable(PROCESSING, COMPOSED))]
             for spec in together:

@@ -86,10 +86,10 @@ class KeepUp:
             self._node.create_subscription(kind, topic, callback, qos, raw=raw)
             return
         subscription = self._node.create_subscription(kind, topic, self._came, qos, raw=raw)
-        come = partial(_come_raw, RawTaking(), subscription) if raw else partial(_come, subscription)
+        newer = partial(_come_raw, RawTaking(), subscription) if raw else partial(come, subscription)
 
         def turn() -> None:
-            self._waiting.extend(come())
+            self._waiting.extend(newer())
             while len(self._waiting) > 1 + (0 if self._skipped_within(CAUGHT_UP_S) else self._most):
                 self._skipped_s = time.monotonic()
                 self._diagnostics.count(SKIPPED)
@@ -110,7 +110,7 @@ class KeepUp:
             yield 0.0 if self._waiting else TURN_S
 
 
-def _come(subscription: Subscription) -> Iterator[Any]:
+def come(subscription: Subscription) -> Iterator[Any]:
     """All messages that have come and were not handed out yet."""
     with contextlib.suppress(InvalidHandle), subscription.handle:  # invalid if another node here calls in its place
         while (taken := subscription.handle.take_message(subscription.msg_type, subscription.raw)) is not None:

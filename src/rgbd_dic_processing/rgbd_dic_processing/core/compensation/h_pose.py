@@ -6,19 +6,19 @@ way a free projective fit can, and does not see the ToF noise of single frames.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 from rgbd_dic_acquisition.calibration import Camera
 from rgbd_dic_acquisition.errors import MeasurementError
 from scipy.spatial.transform import Rotation
 
+from rgbd_dic_processing import _kernel
+
 from ..error_sources import ErrorSource
 from ..geometry import Plane, apply_homography, plane_homographies, plane_homography
 from ..settings import CompensationSettings
 from ..uncertainty import independent_modes, linear_modes
-from .motion import Compensation, FrameView, HomographyMotion, misfit_variance
+from .motion import MEDIAN_LENGTH, Compensation, FrameView, HomographyMotion
 
 Array = NDArray[np.float64]
 Pose = tuple[Array, Array]
@@ -86,32 +86,24 @@ def fit_pose(
     Raises:
         MeasurementError: if it does not converge.
     """
-    # Here all x come before all y, (2, M), and so in the rows of `by_pose`: NumPy is quickest along long rows.
-    points = np.ascontiguousarray(plane.points(camera.rays(source_px)).T)
-    focal, centre = np.array([[camera.fx], [camera.fy]]), np.array([[camera.cx], [camera.cy]])
-    target, sigma2 = np.ascontiguousarray(target_px.T), np.ascontiguousarray(sigma_px.T) ** 2
-    R, t = start
-    misfit2 = 0.0
-    for iteration in range(MAX_ITERATIONS):
-        turned = R @ points
-        moved = turned + t[:, None]
-        z = moved[2]
-        if not np.all(z > 0):
-            break
-        residual = target - (focal * (moved[:2] / z) + centre)
-        if iteration < MISFIT_ITERATIONS:  # pose and misfit, each following the other, may take very long
-            misfit2 = misfit_variance(residual, sigma2)
-        variance = sigma2 + misfit2
-        lengths = np.sqrt(np.sum(residual**2 / variance, axis=0))
-        weights = np.minimum(1, robust_sigmas / np.maximum(lengths, 1e-12)) / variance
-        jacobian = pose_jacobian(focal[:, 0], turned.T, moved.T)
-        by_pose = jacobian.transpose(0, 2, 1).reshape(6, -1)
-        weighted = by_pose * weights.ravel()
-        step = np.linalg.solve(weighted @ by_pose.T, weighted @ residual.ravel())
-        R, t = displaced((R, t), step)
-        if np.sqrt(np.mean(np.square(step @ by_pose))) < CONVERGED_PX:
-            return (R, t), jacobian, weights.T, math.sqrt(misfit2)
-    raise MeasurementError("the pose of the fixed region did not converge")
+    points = plane.points(camera.rays(source_px))
+    fitted = _kernel.fit_pose(
+        points,
+        np.ascontiguousarray(target_px),
+        np.ascontiguousarray(sigma_px),
+        np.ascontiguousarray(start[0]),
+        np.ascontiguousarray(start[1]),
+        (camera.fx, camera.fy, camera.cx, camera.cy),
+        robust_sigmas=robust_sigmas,
+        median_length=MEDIAN_LENGTH,
+        converged_px=CONVERGED_PX,
+        max_iterations=MAX_ITERATIONS,
+        misfit_iterations=MISFIT_ITERATIONS,
+    )
+    if fitted is None:
+        raise MeasurementError("the pose of the fixed region did not converge")
+    R, t, jacobian, weights, misfit_px = fitted
+    return (R, t), jacobian, weights, misfit_px
 
 
 def sensitivity(jacobian: Array, weights: Array) -> Array:
