@@ -77,7 +77,7 @@ def test_same_as_in_numpy(count: int, turn: float, noise_px: float, wrong: int) 
 
 @pytest.mark.parametrize("turn", [0.0, 1e-6, 1e-3, 0.5, 1.2])
 def test_exact_points_give_the_motion(turn: float) -> None:
-    """From as far away as the guess ever is and farther; 1e-9 is what pixels exact to 1e-12 leave, and the last step."""
+    """From farther away than a guess ever is; 1e-9 is what pixels exact to 1e-12 and the last step leave."""
     source, target, sigma, (R, t) = seen(200, turn, 0.0, 0)
     start = displaced((R, t), np.array([0.05, 0.05, -0.1, 0.05, -0.05, 0.1]))
     (found_R, found_t), *_, misfit_px = fit_pose(CAMERA, source, target, sigma, PLANE, start, ROBUST_SIGMAS)

@@ -21,6 +21,7 @@ class CrackLine:
     def __init__(self, camera: Camera, zones: CrackZones, centres_px: Array):
         self._ends_px = camera.undistort(zones.point + np.outer((-0.5, 0.5), zones.direction))
         self._ideal_px = camera.undistort(centres_px)
+        self._latest: tuple[tuple[Array, Array], Array] | None = None  # what was asked, as most images ask the same
         self._mixed = np.random.default_rng(0).permutation(len(centres_px))  # every so-manieth could be one column
 
     def axes(self, position_m: Array) -> Array:
@@ -36,7 +37,13 @@ class CrackLine:
             MeasurementError: if the subsets do not determine that homography.
         """
         some = self._mixed[np.isfinite(position_m[self._mixed, 0])][:POINTS]
-        to_panel = fit_homography(self._ideal_px[some], position_m[some], refinements=0)
+        seen = self._ideal_px[some], position_m[some]
+        if self._latest is None or not all(map(np.array_equal, self._latest[0], seen)):
+            self._latest = seen, self._axes(*seen)
+        return self._latest[1]
+
+    def _axes(self, ideal_px: Array, position_m: Array) -> Array:
+        to_panel = fit_homography(ideal_px, position_m, refinements=0)
         if to_panel is None:
             raise MeasurementError("the direction of the crack on the panel is undetermined: too few subsets")
         ends = apply_homography(to_panel, self._ends_px)

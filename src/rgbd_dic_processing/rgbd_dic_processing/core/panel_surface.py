@@ -10,7 +10,7 @@ from rgbd_dic_acquisition.calibration import Camera
 
 from .compensation.h_pose import Pose, fit_pose, pixel_jacobian, pose_jacobian
 from .geometry import Plane, pose_from_homography
-from .uncertainty import independent_modes
+from .uncertainty import independent_modes, least_squares
 
 Array = NDArray[np.float64]
 
@@ -85,8 +85,8 @@ class Surface:
         of_curvature = self.covariance[3:, 3:] - across.T @ np.linalg.solve(plane, across)
         by_pose, by_shape = self.by_shape(pose)
         shifts = np.tensordot(independent_modes(of_curvature), by_shape[3:], 1)
-        taken_up = np.linalg.pinv(by_pose[:, fixed].reshape(6, -1).T) @ shifts[:, fixed].reshape(len(shifts), -1).T
-        return shifts - np.tensordot(taken_up.T, by_pose, 1)
+        of_fixed = by_pose[:, fixed].reshape(6, -1).T, shifts[:, fixed].reshape(len(shifts), -1).T
+        return shifts - np.tensordot(least_squares(*of_fixed).T, by_pose, 1)
 
     def by_shape(self, pose: Pose) -> tuple[Array, Array]:
         """(6, N, 2), by how many pixels the subsets move with the pose (rotation vector, translation), and with

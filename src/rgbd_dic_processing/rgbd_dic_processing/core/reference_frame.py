@@ -34,7 +34,7 @@ from .settings import CompensationSettings
 from .status import FrameStatus
 from .subset_field import Reference, SubsetField
 from .surface_estimate import SurfaceEstimate
-from .uncertainty import linear_modes, overlap_correlation, overlaps, quadratic_terms
+from .uncertainty import least_squares, linear_modes, overlap_correlation, overlaps, quadratic_terms
 
 Array = NDArray[np.float64]
 SHAPED = ("h_pose", "h_joint")  # methods that are told the panel's shape
@@ -336,7 +336,8 @@ def _modes(compensation: Compensation, realignment: Realignment, grid_px: Array)
 
 def _quadratic(points_m: Array, errors_m: Array) -> Array:
     """(k, 3, 6), the quadratics in panel coordinates nearest to errors (k, M, 3) at points (M, 2 or more)."""
-    return np.swapaxes(np.linalg.pinv(quadratic_terms(points_m)) @ errors_m, 1, 2)
+    columns = np.moveaxis(errors_m, 1, 0).reshape(len(points_m), -1)
+    return least_squares(quadratic_terms(points_m), columns).T.reshape(len(errors_m), -1, 6)
 
 
 def _grid(points_px: Array) -> Array:

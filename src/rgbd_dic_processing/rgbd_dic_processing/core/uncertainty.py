@@ -73,6 +73,17 @@ def independent_modes(covariance: Array) -> Array:
     return (vectors[:, kept] * np.sqrt(values[kept])).T
 
 
+def least_squares(design: Array, values: Array) -> Array:
+    """x (p, k) for which design (n, p) @ x is nearest to values (n, k); the columns are scaled to the same length.
+
+    By the normal equations, in a tenth of the time of a singular value decomposition, which matters for each image: the
+    few parameters of what a panel does to pixels are well apart.
+    """
+    scale = np.sqrt(np.sum(design**2, axis=0))
+    scaled = design / scale
+    return np.linalg.solve(scaled.T @ scaled, scaled.T @ values) / scale[:, None]
+
+
 def quadratic_terms(points_m: Array) -> Array:
     """(N, 6): [1, x, y, x^2, x y, y^2] of points (N, 2)."""
     x, y = points_m[:, 0], points_m[:, 1]

@@ -86,13 +86,8 @@ def fit_pose(
     Raises:
         MeasurementError: if it does not converge.
     """
-    points = plane.points(camera.rays(source_px))
     fitted = _kernel.fit_pose(
-        points,
-        np.ascontiguousarray(target_px),
-        np.ascontiguousarray(sigma_px),
-        np.ascontiguousarray(start[0]),
-        np.ascontiguousarray(start[1]),
+        *(np.ascontiguousarray(a, float) for a in (plane.points(camera.rays(source_px)), target_px, sigma_px, *start)),
         (camera.fx, camera.fy, camera.cx, camera.cy),
         robust_sigmas=robust_sigmas,
         median_length=MEDIAN_LENGTH,
