@@ -5,7 +5,7 @@
 #include <array>
 #include <cmath>
 #include <cstddef>
-#include <utility>
+#include <limits>
 #include <vector>
 
 namespace rgbd_dic {
@@ -78,6 +78,7 @@ class PoseFit {
     for (int iteration = 0; iteration < limits_.max_iterations; ++iteration) {
       if (!project()) return false;
       if (iteration < limits_.misfit_iterations) misfit2_ = misfit_variance();
+      if (!std::isfinite(misfit2_)) return false;
       Sixes step = {};
       if (!solve(normal_equations(step), step)) return false;
       double squares = 0.0;
@@ -133,7 +134,7 @@ class PoseFit {
     return true;
   }
 
-  // As core/compensation/motion.py.
+  // As core/compensation/motion.py; NaN if a residual or an uncertainty is not a finite number.
   double misfit_variance() {
     const double length2 = limits_.median_length * limits_.median_length;
     for (std::size_t i = 0; i < rows_.size(); ++i) {
@@ -142,6 +143,7 @@ class PoseFit {
       const double half = (length2 * (of_x + of_y) - (x * x + y * y)) / 2;
       const double constant = length2 * (of_x * of_y) - (x * x * of_y + y * y * of_x);
       roots_[i] = (-half + std::sqrt(std::max(half * half - length2 * constant, 0.0))) / length2;
+      if (!std::isfinite(roots_[i])) return std::numeric_limits<double>::quiet_NaN();
     }
     const auto middle = roots_.begin() + static_cast<std::ptrdiff_t>(roots_.size() / 2);
     std::nth_element(roots_.begin(), middle, roots_.end());

@@ -59,8 +59,8 @@ def linear_modes(
     products = direct[chosen].T @ spread[chosen]
     modes = independent_modes(products[:count, :count] + products[count:, count:])
     to_unit = modes / np.sum(modes**2, axis=1, keepdims=True)
-    coupling = spread.reshape(subsets, 2, count) @ to_unit.T * np.nan_to_num(sigma)[..., None]
-    return modes, coupling.transpose(2, 0, 1)
+    of_unit = (spread.reshape(-1, count) @ to_unit.T).reshape(subsets, 2, -1)
+    return modes, (of_unit * np.nan_to_num(sigma)[..., None]).transpose(2, 0, 1)
 
 
 def independent_modes(covariance: Array) -> Array:

@@ -86,6 +86,16 @@ def test_exact_points_give_the_motion(turn: float) -> None:
     assert misfit_px < 1e-9
 
 
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+@pytest.mark.parametrize("which", range(3))
+def test_numbers_that_are_not_finite(which: int, value: float) -> None:
+    """In the places in the reference or in the image, or in the uncertainty."""
+    *arrays, start = seen(200, 0.1, 0.01, 0)
+    arrays[which][100, 1] = value
+    with pytest.raises(MeasurementError, match="did not converge"):
+        fit_pose(CAMERA, *arrays, PLANE, start, ROBUST_SIGMAS)
+
+
 @pytest.mark.parametrize(("count", "away_m"), [(0, 0.0), (200, 3.0)], ids=["no points", "behind"])
 def test_what_gives_no_pose(count: int, away_m: float) -> None:
     """No points, or a start from which the panel is behind the camera."""
