@@ -118,7 +118,7 @@ def _ask(kind: type[Node], parameters: dict[str, str]) -> dict[str, Any]:
         try:
             names = sorted(name for name in node.get_parameters_by_prefix("") if name not in COMMON_PARAMETERS)
             return {
-                "takes": _described(node, node.subscriptions),
+                "takes": _described(node, Node.subscriptions.fget(node)),  # a node may hide some from the executor
                 "gives": _described(node, node.publishers),
                 "services": {
                     service.srv_name: _type(service.srv_type)
