@@ -111,7 +111,12 @@ class DicNode(Node):
             self.diagnostics.count("without camera_info")
             self.diagnostics.warn("images come, but no calibration: no calibration_file, and no camera/camera_info yet")
             return
-        message = SerialisedImage.of(serialised)
+        try:
+            message = SerialisedImage.of(serialised)
+        except ImageError as error:
+            self.diagnostics.count("unreadable")
+            self.diagnostics.warn(str(error))
+            return
         try:
             image, reason = image_from_message(message), ""
         except ImageError as error:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import Any
 
 from rclpy.node import Node
 from rgbd_dic_acquisition.calibration import load_calibration
 from rgbd_dic_acquisition.errors import ImageError
-from rgbd_dic_acquisition.in_flight import header_stamp_ns
 from rgbd_dic_acquisition.messages import depth_from_message, points_from_message, stamp_to_ns
 from rgbd_dic_acquisition.nodes.diagnostics import Diagnostics
 from rgbd_dic_acquisition.nodes.parameters import declare, declare_path
@@ -61,7 +61,7 @@ class PlaneNode(Node):
                 "tof/depth/image_raw",
                 self._depth,
                 qos,
-                lambda data: self._left_out(header_stamp_ns(data)),
+                self._left_out_depth,
                 raw=True,
             )
         self.create_subscription(ReferenceMessage, "reference", self._reference, latched_qos())
@@ -69,7 +69,12 @@ class PlaneNode(Node):
 
     def _depth(self, serialised: bytes) -> None:
         self._idle.touch()
-        message = SerialisedImage.of(serialised)
+        try:
+            message = SerialisedImage.of(serialised)
+        except ImageError as error:
+            self.diagnostics.count("unreadable")
+            self.diagnostics.warn(str(error))
+            return
         try:
             depth, reason = depth_from_message(message), ""
         except ImageError as error:
@@ -83,6 +88,10 @@ class PlaneNode(Node):
         except ImageError as error:
             points, reason = None, str(error)
         self._publish(self._planes.add_points(stamp_to_ns(message.header.stamp), points, reason))
+
+    def _left_out_depth(self, serialised: bytes) -> None:
+        with contextlib.suppress(ImageError):
+            self._left_out(SerialisedImage.of(serialised).stamp_ns)
 
     def _left_out(self, stamp_ns: int) -> None:
         self._publish(self._planes.add_points(stamp_ns, None, self._keep_up.warning))
