@@ -136,10 +136,9 @@ Image pair: reference, its check for texture, features, guess, pre-filter, IC-GN
 
 {table(pair_header, pairs)}
 
-Threads: wall time of a frame turned by 2 degrees; the fastest of the repeats, as other programs only add to it. Two
-processes of one thread each, which share nothing but the machine, tell what its second core is worth. A frame
-here takes about 2.6 ms more than one in a loop in C++ alone, with one thread and with two: presumably cold caches and
-threads that are started anew. In such a loop pre-filter and IC-GN gained 1.95 (cubic) and 1.97 (quintic).
+Threads: wall time of a frame turned by 2 degrees, of a video that goes on: another frame was measured just before, so
+the kernel's threads wait, and memory is there. The fastest of the repeats, as other programs only add to it. Two
+processes of one thread each, which share nothing but the machine, tell what its second core is worth.
 
 {table(thread_header, threads) if threads else "Not measured: one core only."}"""
 

@@ -55,13 +55,14 @@ def pairs(folder: Path, quick: bool) -> list[dict[str, Any]]:
 
 
 def threads(folder: Path, quick: bool) -> list[dict[str, Any]]:
-    """Wall time of a frame with one thread and with two, the fastest of the repeats; empty on a single core."""
+    """Wall time of a video's frame with one thread and with two, the fastest of the repeats; empty on a single core."""
     if len(os.sched_getaffinity(0)) < 2:
         return []
     rows = []
     for degree, name in DEGREES.items():
         wanted = [
-            (TURNED_2, {"mode": "video", "settings": {"spline_degree": degree, "threads": count}}) for count in (1, 2)
+            (TURNED_2, {"mode": "video", "goes_on": True, "settings": {"spline_degree": degree, "threads": count}})
+            for count in (1, 2)
         ]
         one, two = _measured(folder, wanted, repeats=5 if quick else 15)
         parts = {part: [float(row["arrays"][f"wall_{part}"].min()) for row in (one, two)] for part in PARTS}

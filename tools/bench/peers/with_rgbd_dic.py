@@ -1,6 +1,7 @@
 """This project's engine, run as its peers are. setup["mode"]:
 
-"video": one frame against a reference that was prepared before: seeds from a homography 0.3 px off, target, IC-GN.
+"video": one frame against a reference that was prepared before: seeds from a homography 0.3 px off, target, IC-GN;
+    with setup["goes_on"], the one after another frame, whose threads and memory are still there.
 "pair": all of a pair from nothing: reference, texture check, features, initial guess, target, IC-GN.
 """
 
@@ -32,7 +33,7 @@ def prepare(reference, setup):
     centres, homography = engine.grid(), np.array(setup["homography"])
     subsets, maps = ReferenceSubsets(reference, centres, settings), engine.seed_maps(centres, settings.threads)
 
-    def correlate(image):
+    def correlate(image, homography=homography):
         clock = [_now()]
         seeds = engine.seeds(homography, maps)
         clock.append(_now())
@@ -45,6 +46,8 @@ def prepare(reference, setup):
         moved = _displacements(centres, np.column_stack([found.x_px, found.y_px]))
         return {**moved, **parts, "iterations": found.iterations}
 
+    if setup.get("goes_on"):
+        correlate(reference, np.eye(3))
     return correlate
 
 
