@@ -192,6 +192,7 @@ class DisplacementMeasurement:
             pose,
             surface,
             base.plane_changes(frame.field.stamp_ns),
+            base.bulge(frame.field.stamp_ns, reference_plane),
         )
         compensation = SOLVERS[self._settings.method](view, self._settings)
         view, surface = base.with_shape(view, compensation, frame.field.stamp_ns)

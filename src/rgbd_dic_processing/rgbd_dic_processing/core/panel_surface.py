@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rgbd_dic_acquisition.calibration import Camera
 
+from .bulge import Bulge
 from .compensation.h_pose import Pose, fit_pose, pixel_jacobian, pose_jacobian
 from .geometry import Plane, pose_from_homography
 from .uncertainty import independent_modes, least_squares
@@ -77,14 +78,16 @@ class Surface:
         pixels = self.camera.project(self.rays[fixed])
         return fit_pose(self.camera, pixels, flat, sigma_px[fixed], plane, start, robust_sigmas)
 
-    def doubts_px(self, pose: Pose, fixed: NDArray[np.intp]) -> Array:
-        """(3, N, 2), how far the subsets may be seen elsewhere, for each independent error of the curvature of one
-        standard deviation: beyond what goes with the plane, and what the pose, fitted to the fixed region, takes up
-        [px]."""
+    def doubts_px(self, pose: Pose, fixed: NDArray[np.intp], bulge: Bulge | None = None) -> Array:
+        """(k, N, 2), how far the subsets may be seen elsewhere, for each independent error of the curvature, and of the
+        bulge, of one standard deviation: beyond what goes with the plane, and what the pose, fitted to the fixed
+        region, takes up [px]."""
         plane, across = self.covariance[:3, :3], self.covariance[:3, 3:]
         of_curvature = self.covariance[3:, 3:] - across.T @ np.linalg.solve(plane, across)
         by_pose, by_shape = self.by_shape(pose)
         shifts = np.tensordot(independent_modes(of_curvature), by_shape[3:], 1)
+        if bulge is not None:
+            shifts = np.concatenate([shifts, bulge.doubts_px(self.camera, self.points(), pose)])
         of_fixed = by_pose[:, fixed].reshape(6, -1).T, shifts[:, fixed].reshape(len(shifts), -1).T
         return shifts - np.tensordot(least_squares(*of_fixed).T, by_pose, 1)
 

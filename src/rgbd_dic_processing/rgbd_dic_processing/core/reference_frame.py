@@ -14,6 +14,7 @@ from rgbd_dic_acquisition.calibration import Camera
 from rgbd_dic_acquisition.errors import MeasurementError
 from scipy.sparse import csr_matrix
 
+from .bulge import Bulge
 from .compensation.h_pose import fit_pose, sensitivity
 from .compensation.motion import Compensation, FrameView, PanelGeometry, panel_points_of
 from .curvature import Curvature
@@ -28,7 +29,7 @@ from .plane_change import PlaneChange, PlaneChanges
 from .plane_in_time import CarriedPlanes
 from .realignment import Realignment, realign_to_axis, realign_to_principal_axes
 from .reference_plane import ReferencePlane
-from .regions import Regions
+from .regions import CrackZones, Regions
 from .sensor_delay import DelayEstimate, SensorDelay
 from .settings import CompensationSettings
 from .status import FrameStatus
@@ -39,6 +40,7 @@ from .uncertainty import least_squares, linear_modes, overlap_correlation, overl
 Array = NDArray[np.float64]
 SHAPED = ("h_pose", "h_joint")  # methods that are told the panel's shape
 FINDS_SHAPE = ("h_joint",)  # those of them that estimate it along with the motion
+CRACK_PX = 3  # by which a crack may leave its line
 SHAPING = 800  # subsets that the panel's shape is estimated from: they overlap, and more tell hardly more
 SPREAD = 250  # subsets that what the shape leaves open is told by: it is as smooth as the shape
 NEEDS_PLANE_OF_FRAME = ("h_3d", "pc_3d")  # as in the thesis: from the ToF frames of the two images alone
@@ -58,6 +60,7 @@ class ReferenceFrame:
         self.fixed = regions.fixed_members(drawn)
         self.zones = crack.members(drawn) if crack is not None else ()
         self.right = crack.beyond(drawn) if crack is not None else np.zeros(len(drawn), bool)
+        self._astride = _astride(crack, drawn, reference.subset_size)
         self._from_drawing = np.linalg.inv(reference.homography)
         if regions.x_axis is not None:
             self._x_axis_px = apply_homography(reference.homography, camera.undistort(regions.x_axis))
@@ -71,6 +74,7 @@ class ReferenceFrame:
         self._accuracy: float | None = None  # of the sensor, relative to the distance
         shaped = bool(settings.bow_m) and settings.method in SHAPED
         self.is_shaped, self._tof_tells_bow = shaped, shaped and settings.bow_from == "images_and_tof"
+        self._bulges = shaped and settings.method in FINDS_SHAPE and settings.bulge_m > 0
         asks = settings.method in FINDS_SHAPE and settings.tof_slope < 1
         rays = camera.rays(self.ideal_px)
         self._changes = PlaneChanges(rays, settings.tof_slope, self._delay.estimate) if asks else None
@@ -174,6 +178,14 @@ class ReferenceFrame:
         """For the view of an image: how the plane has changed since the reference, for a method that asks."""
         return None if self._changes is None else partial(self._changes.at_image, stamp_ns)
 
+    def bulge(self, stamp_ns: int, plane: Plane) -> Bulge | None:
+        """What a loaded panel may stand out in an image; None if the method does not ask, in the reference itself, and
+        where the fixed region lies on one side of the crack, as it does not tell how the other one bulges."""
+        right = self.right[self.fixed]
+        if not self._bulges or stamp_ns == self.reference.stamp_ns or right.all() or not right.any():
+            return None
+        return Bulge.unknown(self.camera.rays(self.ideal_px), plane, self.settings.bulge_m)
+
     def plane_for(self, method: str) -> Plane | None:
         """The reference plane that a method works with; None if none is known yet.
 
@@ -217,6 +229,8 @@ class ReferenceFrame:
         if told is None:
             return view, view.surface
         moved_px = view.moved_px - told.surface.parallax_px(compensation.pose)
+        if compensation.bulge is not None:
+            moved_px = moved_px - compensation.bulge.parallax_px(self.camera, told.surface.points(), compensation.pose)
         view = replace(view, reference_plane=told.surface.plane, moved_px=moved_px)
         if not self.is_shaped:
             return view, None
@@ -250,8 +264,9 @@ class ReferenceFrame:
         modes, sources = _modes(compensation, realignment, self._grid_px), list(compensation.sources)
         if surface is not None:
             found, fixed = _spread(np.flatnonzero(np.isfinite(moved[:, 0]))), _spread(view.fixed)
-            part = surface.part(np.concatenate([fixed, found]))
-            shifts = part.doubts_px(view.seed_pose, np.arange(len(fixed)))[:, len(fixed) :]
+            chosen = np.concatenate([fixed, found])
+            bulge = None if compensation.bulge is None else compensation.bulge.part(chosen)
+            shifts = surface.part(chosen).doubts_px(view.seed_pose, np.arange(len(fixed)), bulge)[:, len(fixed) :]
             errors = shifts[..., :1] * per_x[found] + shifts[..., 1:] * per_y[found]
             modes = np.concatenate([modes, _quadratic(start[found], errors)])
             sources += [ErrorSource.SHAPE] * len(shifts)
@@ -290,7 +305,7 @@ class ReferenceFrame:
             above, origin, below = plane.points(self.camera.rays(seen))
             along = (below - above) / np.linalg.norm(below - above)
             axes = np.column_stack([np.cross(along, plane.normal), along])
-        return PanelGeometry((points - origin) @ axes, self.right, axes)
+        return PanelGeometry((points - origin) @ axes, self.right, self._astride, axes)
 
     def _realignment(self, plane: Plane) -> Realignment:
         if self.regions.x_axis is not None:
@@ -325,6 +340,14 @@ class ReferenceFrame:
                     axis=1
                 )
         return means
+
+
+def _astride(crack: CrackZones | None, drawn_px: Array, subset_px: float) -> NDArray[np.bool_]:
+    """(N,), the subsets that see both sides of the crack, which may leave its line a little."""
+    if crack is None:
+        return np.zeros(len(drawn_px), bool)
+    reach_px = subset_px / 2 * np.abs(crack.normal).sum() + CRACK_PX
+    return np.abs((drawn_px - crack.point) @ crack.normal) < reach_px
 
 
 def _modes(compensation: Compensation, realignment: Realignment, grid_px: Array) -> Array:

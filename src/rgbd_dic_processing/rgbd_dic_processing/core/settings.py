@@ -156,7 +156,7 @@ class CompensationSettings(Settings):
         3.0, low=1.0, high=10.0, doc="h_pose: residuals beyond this many standard deviations lose weight."
     )
     deformation_order: int = setting(
-        3, low=1, high=5, doc="h_joint: order of the polynomials that each side of the crack deforms by."
+        4, low=1, high=5, doc="h_joint: order of the polynomials that each side of the crack deforms by."
     )
     parting: bool = setting(
         True,
@@ -169,6 +169,14 @@ class CompensationSettings(Settings):
         low=0.0,
         high=0.1,
         doc="h_pose, h_joint: how far the panel may stand out of its plane (standard deviation); 0: it is flat.",
+    )
+    bulge_m: float = setting(
+        0.0005,
+        unit="m",
+        low=0.0,
+        high=0.1,
+        doc="h_joint: how far a loaded panel may bulge since the reference, at its edge against its middle (standard "
+        "deviation); 0, or with bow_m: 0: it does not.",
     )
     bow_from: str = setting(
         "images",

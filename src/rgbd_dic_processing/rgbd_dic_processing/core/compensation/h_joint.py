@@ -6,7 +6,8 @@ can tell apart, a deformation that looks exactly like a motion, is shared out by
 explains the image, the least deformed panel is taken, and what was left to that choice is in the uncertainty.
 
 Seen from the side, a panel whose plane is not quite known looks strained too. So its shape is estimated along, as far
-as it is not known from the ToF sensor and earlier images.
+as it is not known from the ToF sensor and earlier images. A loaded panel bulges, too, and what comes nearer looks
+stretched, by the third power of the place: a few numbers tell that from what polynomials of the sides would have to do.
 """
 
 from __future__ import annotations
@@ -14,7 +15,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from rgbd_dic_acquisition.errors import MeasurementError
+from scipy.linalg import block_diag
 
+from ..bulge import Bulge
 from ..deformation import DeformationBasis
 from ..error_sources import ErrorSource
 from ..geometry import Plane, plane_homography, pose_from_homography
@@ -69,7 +72,7 @@ def compensate(view: FrameView, settings: CompensationSettings) -> Compensation:
     sources = (ErrorSource.MOTION,) * len(dic_modes) + (ErrorSource.DEFORMATION,) * len(confounded)
     sources += (ErrorSource.FRAME_PLANE,) * len(by_tof)
     best = motion(np.zeros(moved))
-    return Compensation(best, modes, sources, coupling, residual_px, fit.misfit_px, fit.shape, fit.pose)
+    return Compensation(best, modes, sources, coupling, residual_px, fit.misfit_px, fit.shape, fit.pose, fit.bulge)
 
 
 def pose_beside_deformation(view: FrameView, settings: CompensationSettings) -> Pose | None:
@@ -91,17 +94,24 @@ def pose_beside_deformation(view: FrameView, settings: CompensationSettings) -> 
 def fit_joint(view: FrameView, settings: CompensationSettings, surface: Surface | None = None) -> JointFit:
     """The most likely pose, shape and deformation of the fixed region.
 
-    Minimises sum rho(|m' - project(R (X(s) + U D c) + t)| / e) / k + sum c^T E_d c / T_d^2 + |s - s_0|^2 over R, t, c
-    and s. rho is Huber's loss; e^2 = sigma^2 + misfit^2 as for h_pose; k is how many subsets see the same noise, as
-    they overlap; D are the basis' modes, U the panel's axes, E_d the energy of degree d. T_d, the size of the strains,
-    is what makes the image most likely (`JointProblem.likely_strains`). X are the points on the surface, whose
-    parameters s_0 are known with their covariance, which weighs the last term; without a surface they are those of the
-    reference plane. A rigid panel is found to be rigid, and its pose is that of h_pose.
+    Minimises sum rho(|m' - project(R (X(s) + U D c + n h . b) + t)| / e) / k + sum c^T E_d c / T_d^2 + |s - s_0|^2
+    + |b|^2 over R, t, c, s and b. rho is Huber's loss; e^2 = sigma^2 + misfit^2 as for h_pose; k is how many subsets
+    see the same noise, as they overlap; D are the basis' modes, U the panel's axes, E_d the energy of degree d. T_d,
+    the size of the strains, is what makes the image most likely (`JointProblem.likely_strains`). X are the points on
+    the surface, whose parameters s_0 are known with their covariance, which weighs the term; without a surface they are
+    those of the reference plane. b is the bulge along the normal n (`Bulge`), weighed by what is expected. Subsets that
+    see both sides of the crack follow neither, and are left out. A rigid panel is found to be rigid, and its pose is
+    that of h_pose.
 
     Raises:
-        MeasurementError: if it does not converge.
+        MeasurementError: if it does not converge, or too few subsets lie beside the crack.
     """
-    camera, plane, used = view.camera, view.reference_plane, view.fixed
+    camera, plane, used = view.camera, view.reference_plane, view.fixed[~view.panel.astride[view.fixed]]
+    if len(used) < settings.min_subsets:
+        raise MeasurementError(
+            f"h_joint: {len(used)} valid subsets of the fixed region lie beside the crack, at least "
+            f"{settings.min_subsets} needed"
+        )
     if len(used) > MOST_SUBSETS:
         used = np.sort(np.random.default_rng(0).permutation(used)[:MOST_SUBSETS])
     seen_px, target_px, sigma_px = view.reference_px[used], view.moved_px[used], view.sigma_px[used]
@@ -110,19 +120,23 @@ def fit_joint(view: FrameView, settings: CompensationSettings, surface: Surface 
     basis = _basis(view, used, settings.deformation_order)
     modes = basis.modes @ view.panel.axes.T
     before = (surface or Surface.flat(camera, view.reference_px, plane)).part(used)
-    known = np.zeros((0, 0)) if surface is None else np.linalg.inv(before.covariance)
-    shaped = len(known)
+    of_surface = np.zeros((0, 0)) if surface is None else np.linalg.inv(before.covariance)
+    bulge = Bulge.none(len(view.reference_px)) if surface is None or view.bulge is None else view.bulge
+    of_used = bulge.part(used)
+    known = block_diag(of_surface, np.linalg.inv(bulge.covariance))
+    curved, shaped = len(of_surface), len(known)
     focal = np.array([camera.fx, camera.fy])
     shared = overlaps(view.correlation, used) / len(used)
     x, strains, misfit_px = np.zeros(shaped + len(modes)), np.full(settings.deformation_order, 1e-3), 0.0
     for iteration in range(MAX_ITERATIONS):
-        now = before.changed(x[:shaped]) if shaped else before
-        turned = (now.points() + np.tensordot(x[shaped:], modes, 1)) @ R.T
+        now = before.changed(x[:curved]) if curved else before
+        bulging = of_used.changed(x[curved:shaped]).shifts()
+        turned = (now.points() + bulging + np.tensordot(x[shaped:], modes, 1)) @ R.T
         moved = turned + t
         residual = target_px - camera.project(moved)
         if not np.isfinite(residual).all():
             break
-        steps = np.concatenate([now.steps()[:shaped], modes]) @ R.T
+        steps = np.concatenate([now.steps()[:curved], of_used.steps(), modes]) @ R.T
         jacobian = np.concatenate([pose_jacobian(focal, turned, moved), pixel_jacobian(focal, steps, moved)])
         settling = iteration < SETTLING
         if settling:
@@ -137,7 +151,7 @@ def fit_joint(view: FrameView, settings: CompensationSettings, surface: Surface 
         data = residual + np.tensordot(x, jacobian[POSE:], 1)  # for what is sought, not for its step
         by_data = flat_weighted @ data.ravel()
         linear = JointProblem(normal, by_data, known, basis)
-        if settling:
+        if settling and iteration > 0:  # not before a first fit: what it would explain is in the misfit still
             strains = linear.likely_strains(strains)
         solution, covariance = linear.solve(strains)
         step = np.concatenate([solution[:POSE], solution[POSE:] - x])
@@ -150,8 +164,10 @@ def fit_joint(view: FrameView, settings: CompensationSettings, surface: Surface 
             confounded = CONCENTRATED * by_deformation + by_shape
             shape = None
             if surface is not None:
-                found = surface.changed(x[:shaped], covariance[POSE:told, POSE:told])
-                others = np.r_[:POSE, told : len(jacobian)]
+                of_shape = slice(POSE, POSE + curved)
+                found = surface.changed(x[:curved], covariance[of_shape, of_shape])
+                others = np.r_[:POSE, of_shape.stop : len(jacobian)]
+                known_of_others = linear.known_before() + linear.stiffness(strains) / CONCENTRATED
                 evidence = ShapeView(
                     before=surface.inverse_depth,
                     subsets=used,
@@ -159,14 +175,25 @@ def fit_joint(view: FrameView, settings: CompensationSettings, surface: Surface 
                     sigma_px=sigma_px * np.sqrt(shared),
                     residual_px=data,
                     weights=weights,
-                    by_shape=jacobian[POSE:told],
+                    by_shape=jacobian[of_shape],
                     by_others=jacobian[others],
-                    stiffness=linear.stiffness(strains)[np.ix_(others, others)] / CONCENTRATED,
+                    stiffness=known_of_others[np.ix_(others, others)],
                 )
                 shape = ShapeEvidence(found, evidence)
-            nothing = np.zeros_like(confounded)
+            nothing, of_bulge = np.zeros_like(confounded), slice(POSE + curved, told)
             return JointFit(
-                (R, t), used, x[shaped:], strains, gain, confounded, by_deformation, nothing, residual, misfit_px, shape
+                (R, t),
+                used,
+                x[shaped:],
+                strains,
+                gain,
+                confounded,
+                by_deformation,
+                nothing,
+                residual,
+                misfit_px,
+                shape,
+                bulge.changed(x[curved:shaped], covariance[of_bulge, of_bulge]),
             )
     raise MeasurementError("h_joint: pose and deformation of the fixed region did not converge")
 

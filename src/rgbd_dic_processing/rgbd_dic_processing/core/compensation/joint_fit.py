@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ..bulge import Bulge
 from ..geometry import Plane
 from ..panel_motion import pose_sensitivity
 from ..plane_change import PlaneChange
@@ -21,7 +22,8 @@ CONTRADICTION = 4.0  # standard deviations by which the plane and the image may 
 
 @dataclass(frozen=True)
 class JointFit:
-    """Pose, shape and deformation of the fixed region, at their most likely. The shape has k parameters, none if fixed.
+    """Pose, shape and deformation of the fixed region, at their most likely. The shape has k parameters, those of the
+    surface and of the bulge; none if fixed.
 
     used: (M,), indices of the subsets that were used.
     coefficients, strains: (q,) of the basis, and the standard deviation that those of each degree have (order,).
@@ -32,6 +34,7 @@ class JointFit:
     by_tof: (6 + k, 6 + k), from the ToF sensor's planes that tell the two apart.
     residual_px, misfit_px: (M, 2), and the standard deviation on each axis that is left beside the DIC's noise.
     shape: the surface that was found, and what this view tells of it; None if it was fixed.
+    bulge: since the reference, of all subsets.
     """
 
     pose: Pose
@@ -45,6 +48,7 @@ class JointFit:
     residual_px: Array
     misfit_px: float
     shape: ShapeEvidence | None
+    bulge: Bulge
 
     def beside(self, change: PlaneChange) -> JointFit:
         """With how the ToF sensor saw the panel's plane move; without it, if the two contradict each other.
@@ -60,11 +64,13 @@ class JointFit:
             return self
         kept = np.linalg.solve(expected, by_told @ likely).T
         step, left = kept @ apart, np.eye(len(kept)) - kept @ by_told
+        bulging = POSE + len(self.shape.surface.inverse_depth)
         return replace(
             self,
             pose=displaced(self.pose, step[:POSE]),
             gain=np.tensordot(left, self.gain, 1),
             confounded=left @ self.confounded @ left.T,
             by_tof=kept @ change.covariance @ kept.T,
-            shape=replace(self.shape, surface=self.shape.surface.changed(step[POSE:])),
+            shape=replace(self.shape, surface=self.shape.surface.changed(step[POSE:bulging])),
+            bulge=self.bulge.changed(step[bulging:]),
         )

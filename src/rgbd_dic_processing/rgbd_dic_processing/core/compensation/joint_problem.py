@@ -15,7 +15,7 @@ POSE = 6  # unknowns: rotation vector and translation; then those of the shape, 
 STRAIN_ITERATIONS = 30  # of the strains, in each iteration of the fit
 CONCENTRATED = 6.0  # a real field puts its energy into few of the coefficients: a sixth of them is taken to carry it
 LEAST_STRAIN = 1e-8  # a panel is not believed to be stiffer
-POOLED = 0.3  # how much the strain of all degrees counts in that of each, as a part of its number of coefficients
+POOLED = 0.1  # how much the strain of all degrees counts in that of each, as a part of its number of coefficients
 
 
 @dataclass(frozen=True)

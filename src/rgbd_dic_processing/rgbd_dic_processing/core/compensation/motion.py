@@ -18,6 +18,7 @@ from ..geometry import Plane, apply_homography, pose_from_homography
 from ..realignment import Realignment
 
 if TYPE_CHECKING:
+    from ..bulge import Bulge
     from ..panel_surface import Surface
     from ..plane_change import PlaneChange
     from ..surface_estimate import ShapeEvidence
@@ -30,11 +31,13 @@ MEDIAN_LENGTH = 1.1774  # of a normal residual in two dimensions, in standard de
 class PanelGeometry:
     """N subsets on the reference's plane, in axes of the crack: x across it, y along it, origin at its point.
 
-    points_m: (N, 2). right: (N,), those right of the crack's line. axes: (3, 2), x and y in the camera's frame.
+    points_m: (N, 2). right, astride: (N,), those right of the crack's line, and those that see both sides of it.
+    axes: (3, 2), x and y in the camera's frame.
     """
 
     points_m: Array
     right: NDArray[np.bool_]
+    astride: NDArray[np.bool_]
     axes: Array
 
 
@@ -52,6 +55,7 @@ class FrameView:
     carried: the pose (R, t) along which `plane` was carried from planes of the reference; None if it was not.
     surface: the panel's shape, for a solver that refines it; None where it is flat, or is taken off moved_px already.
     changes: `PlaneChanges.at_image` of this frame; None for a solver that does not ask.
+    bulge: what a loaded panel may stand out since the reference; None if it does not.
     """
 
     camera: Camera
@@ -67,6 +71,7 @@ class FrameView:
     carried: tuple[Array, Array] | None = None
     surface: Surface | None = None
     changes: Callable[[tuple[Array, Array], Array, Array], PlaneChange | None] | None = None
+    bulge: Bulge | None = None
 
     @cached_property
     def seed_pose(self) -> tuple[Array, Array]:
@@ -154,7 +159,7 @@ class Compensation:
     misfit_px: standard deviation of what the subsets move beside the motion and the DIC's noise, on each axis; it adds
         in quadrature to the uncertainty of every subset.
     shape: the panel's shape if the solver refined it, and what the frame told of it; `motion` and `modes` are of its
-        plane. pose: (R, t) that goes with it.
+        plane. pose: (R, t) that goes with it. bulge: what the panel stands out since the reference.
     """
 
     motion: Motion
@@ -165,6 +170,7 @@ class Compensation:
     misfit_px: float = 0.0
     shape: ShapeEvidence | None = None
     pose: tuple[Array, Array] | None = None
+    bulge: Bulge | None = None
 
 
 def reprojection_rms(motion: Motion, view: FrameView, used: NDArray[np.intp]) -> float:
