@@ -71,7 +71,7 @@ def replay(
     compared = compare(openings, read_truth(truth))[0]
     valid = [opening for opening in openings if opening.valid]
     stated_m = math.sqrt(np.mean([opening.u_opening_m**2 for opening in valid]))
-    shown_m = [opening_m[opening.stamp_ns] for opening in valid]
+    shown_m = list(opening_m.values())
     pairing = _pairing(openings, camera, tof)
     return Replayed(len(openings), len(valid), float(np.ptp(shown_m)), compared.rms_m, EXPLAINED * stated_m, pairing)
 
@@ -79,7 +79,10 @@ def replay(
 def _pairing(openings: list[CrackOpening], camera: Account, tof: Account) -> Pairing:
     tof_stamps = np.array(sorted(tof.true_ns), np.int64)
     tof_moments = np.array([tof.true_ns[int(stamp)] for stamp in tof_stamps], np.int64)
-    paired = [opening for opening in openings if math.isfinite(opening.depth_offset_s)]
+    found = [
+        opening for opening in openings if opening.stamp_ns in camera.true_ns
+    ]  # the others are told by the account
+    paired = [opening for opening in found if math.isfinite(opening.depth_offset_s)]
     errors, mispaired = [], 0
     for opening in paired:
         exposed_ns = camera.true_ns[opening.stamp_ns] + MIDDLE_NS
@@ -88,4 +91,4 @@ def _pairing(openings: list[CrackOpening], camera: Account, tof: Account) -> Pai
         errors.append(abs(opening.depth_offset_s - 1e-9 * true_offset_ns))
         mispaired += bool(np.min(np.abs(exposed_ns - tof_moments)) < abs(true_offset_ns) - PAIRING_NS)
     offsets = np.array([opening.depth_offset_s for opening in paired])
-    return Pairing(offsets, len(openings) - len(paired), max(errors), mispaired)
+    return Pairing(offsets, len(found) - len(paired), max(errors), mispaired)

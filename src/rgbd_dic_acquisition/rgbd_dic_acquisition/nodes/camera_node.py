@@ -21,7 +21,7 @@ from ..simulator.live import SimulatedCamera
 from ..sources import ImageFrame
 from .diagnostics import Diagnostics
 from .parameters import declare, declare_path
-from .ros_messages import QosSettings, image_qos, make
+from .ros_messages import QosSettings, detail_qos, image_qos, make
 from .sensor_reading import SensorHealth, read_sensor
 from .spinning import run
 
@@ -55,10 +55,10 @@ class CameraNode(Node):
         self._revival = Revival(self._source)
         self._diagnostics = Diagnostics(self)
         self._health = SensorHealth(self._diagnostics, self._revival, self._source, self._loss)
-        qos = image_qos(self._settings)
+        qos, details = image_qos(self._settings), detail_qos(self._settings)
         self._image = self._diagnostics.watch(self.create_publisher(Image, "camera/image_raw", qos))
-        self._info = self._diagnostics.watch(self.create_publisher(CameraInfo, "camera/camera_info", qos))
-        self._time = self._diagnostics.watch(self.create_publisher(TimeReference, "camera/time_reference", qos))
+        self._info = self._diagnostics.watch(self.create_publisher(CameraInfo, "camera/camera_info", details))
+        self._time = self._diagnostics.watch(self.create_publisher(TimeReference, "camera/time_reference", details))
 
     def work(self) -> Iterator[float]:
         """Publish frame after frame."""

@@ -16,7 +16,7 @@ from ..messages import header_message, imu_message, stamp_message
 from ..settings import setting
 from .diagnostics import Diagnostics
 from .parameters import declare
-from .ros_messages import QosSettings, image_qos, make
+from .ros_messages import QosSettings, detail_qos, make
 from .spinning import run
 
 # The longest wait for the autopilot [s]: how late timers and signals may be.
@@ -45,7 +45,7 @@ class MavlinkNode(Node):
         self._counted: Counter[str] = Counter()
         self._restarts = 0
         self._uncertainty_ms = float("inf")
-        qos = image_qos(self._settings)
+        qos = detail_qos(self._settings)
         self._imu = self._diagnostics.watch(self.create_publisher(Imu, "imu/data", qos))
         self._time = self._diagnostics.watch(self.create_publisher(TimeReference, "autopilot/time_reference", qos))
 

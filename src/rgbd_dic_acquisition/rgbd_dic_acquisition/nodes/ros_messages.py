@@ -29,6 +29,9 @@ _ELEMENTS = {
 }
 
 
+DETAILS = 10  # times as many small messages are kept as frames
+
+
 @dataclass(frozen=True)
 class QosSettings(Settings):
     """How a sensor's frames are sent."""
@@ -38,15 +41,31 @@ class QosSettings(Settings):
         doc="whether lost frames are sent again; best_effort never waits for a slow receiver",
         choices=("reliable", "best_effort"),
     )
-    depth: int = setting(10, doc="frames kept for receivers that lag behind", unit="frames", low=1, high=1000)
+    depth: int = setting(
+        10,
+        doc="frames kept for receivers that lag behind; ten times as many of what is small",
+        unit="frames",
+        low=1,
+        high=1000,
+    )
 
 
 def image_qos(settings: QosSettings) -> QoSProfile:
-    """For images, depth frames and what comes with each of them."""
+    """For images and depth frames."""
+    return _frame_qos(settings, settings.depth)
+
+
+def detail_qos(settings: QosSettings) -> QoSProfile:
+    """For what comes with each of them, or more often, and is small: it must not be lost where a machine that halted
+    makes up for it by a burst of frames."""
+    return _frame_qos(settings, DETAILS * settings.depth)
+
+
+def _frame_qos(settings: QosSettings, depth: int) -> QoSProfile:
     reliable = settings.reliability == "reliable"
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
-        depth=settings.depth,
+        depth=depth,
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
     )
 

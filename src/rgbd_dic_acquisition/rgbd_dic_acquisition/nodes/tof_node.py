@@ -32,7 +32,7 @@ from ..simulator.live import SimulatedTof
 from ..sources import DepthFrame
 from .diagnostics import Diagnostics, WatchedPublisher
 from .parameters import declare, declare_path
-from .ros_messages import QosSettings, image_qos, latched_qos, make, message_class
+from .ros_messages import QosSettings, detail_qos, image_qos, latched_qos, make, message_class
 from .sensor_reading import SensorHealth, read_sensor
 from .spinning import run
 
@@ -123,7 +123,9 @@ class TofNode(Node):
             self.get_logger().warning(f"calibration.yaml is used, {self._calibrated}; the ToF camera says {own}")
 
     def _publisher(self, kind: type, topic: str) -> WatchedPublisher:
-        return self._diagnostics.watch(self.create_publisher(kind, topic, image_qos(self._settings)))
+        large = kind in (Image, PointCloud2)
+        qos = image_qos(self._settings) if large else detail_qos(self._settings)
+        return self._diagnostics.watch(self.create_publisher(kind, topic, qos))
 
     def _publish_transform(self, calibration: Calibration) -> None:
         try:
