@@ -14,10 +14,12 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
 from graph_ear import GraphEar
 from rclpy.node import Node
+from rclpy.qos import QoSProfile
 from rgbd_dic_acquisition.bag import BagReader, make_message
 from rgbd_dic_acquisition.bag_repair import repair_bag
 from rgbd_dic_acquisition.message_types import serialise
 from rgbd_dic_acquisition.messages import image_message, stamp_to_ns
+from rgbd_dic_acquisition.nodes.ros_messages import QosSettings, detail_qos
 from sensor_msgs.msg import Image
 from small_disks import memory_disk
 from test_nodes import Processes
@@ -36,8 +38,8 @@ def processes(tmp_path):
 class Camera:
     """Publishes images whose stamps count up."""
 
-    def __init__(self, node: Node, rows: int) -> None:
-        self._publisher = node.create_publisher(Image, "camera/image_raw", 100)
+    def __init__(self, node: Node, rows: int, qos: QoSProfile | int = 100) -> None:
+        self._publisher, self.node = node.create_publisher(Image, "camera/image_raw", qos), node
         self._rows, self.sent = rows, 0
 
     def wait_for_listeners(self, count: int) -> None:
@@ -50,12 +52,12 @@ class Camera:
 
 
 @contextmanager
-def camera(processes: Processes, rows: int = 250) -> Iterator[Camera]:
+def camera(processes: Processes, rows: int = 250, qos: QoSProfile | int = 100) -> Iterator[Camera]:
     context = rclpy.Context()
     rclpy.init(context=context, domain_id=domain(processes))
     node = rclpy.create_node("camera", context=context)
     try:
-        yield Camera(node, rows)
+        yield Camera(node, rows, qos)
     finally:
         node.destroy_node()
         rclpy.shutdown(context=context)
@@ -72,9 +74,9 @@ def wait_for(condition, meanwhile=lambda: time.sleep(0.05), seconds: float = 120
         meanwhile()
 
 
-def stamps(path) -> list[int]:
+def stamps(path, topic: str = "camera/image_raw") -> list[int]:
     with BagReader(path) as bag:
-        return [stamp_to_ns(message.header.stamp) for *_, message in bag.messages()]
+        return [stamp_to_ns(message.header.stamp) for name, *_, message in bag.messages() if name.endswith(topic)]
 
 
 def test_a_full_disk_ends_the_bag_and_nothing_else(processes, tmp_path):
@@ -163,3 +165,26 @@ def test_what_did_not_get_here_is_counted(processes, tmp_path):
     kept = stamps(tmp_path / "flight")
     assert kept == sorted(kept) and kept[-1] == sensor.sent - 1
     assert missed == kept[-1] + 1 - kept[0] - len(kept)
+
+
+def test_small_messages_outlast_a_halt(processes, tmp_path):
+    """Of the messages that come with each image, none is lost while the recorder stands still for as long as 80 images
+    take, which fill what lies between the two; a queue of ten loses most of them."""
+    with camera(processes, rows=1, qos=detail_qos(QosSettings())) as details:
+        images = details.node.create_publisher(Image, "camera/large", 10)
+        topics = [*TOPICS, "camera/large sensor_msgs/msg/Image"]
+        recorder = processes.node("recorder_node", output=str(tmp_path / "flight"), topics=topics)
+        details.wait_for_listeners(1)
+        wait_for(lambda: images.get_subscription_count() == 1)
+        image = serialise(image_message(make_message, 0, "camera", np.zeros((1080, 1440), np.uint8), "mono8"))
+        details.publish()
+        time.sleep(1.0)
+        recorder.send_signal(signal.SIGSTOP)
+        for _ in range(80):
+            images.publish(image)
+            details.publish()
+        recorder.send_signal(signal.SIGCONT)
+        time.sleep(3.0)
+        recorder.terminate()
+        assert recorder.wait(20) == 0
+    assert stamps(tmp_path / "flight") == list(range(81))
