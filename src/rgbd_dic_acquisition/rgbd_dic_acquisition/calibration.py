@@ -12,6 +12,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from .columns import columns
 from .errors import CalibrationError
 
 Array = NDArray[np.float64]
@@ -60,10 +61,11 @@ class Camera:
         """Ideal pinhole pixels (N, 2) -> pixels of the raw image (N, 2)."""
         if self.k1 == 0.0 and self.k2 == 0.0:
             return np.array(points_px, float)
-        centre, focal = np.array([self.cx, self.cy]), np.array([self.fx, self.fy])
-        ideal = (np.asarray(points_px, float) - centre) / focal
-        r2 = np.sum(ideal**2, axis=-1, keepdims=True)
-        return centre + focal * ideal * (1 + r2 * (self.k1 + self.k2 * r2))
+        points = np.asarray(points_px, float)
+        x, y = (points[..., 0] - self.cx) / self.fx, (points[..., 1] - self.cy) / self.fy
+        r2 = x * x + y * y
+        factor = 1 + r2 * (self.k1 + self.k2 * r2)
+        return columns(self.cx + self.fx * x * factor, self.cy + self.fy * y * factor)
 
     def undistort(self, points_px: Array) -> Array:
         """Raw pixels (N, 2) -> ideal pinhole pixels (N, 2); NaN stays NaN.
@@ -73,9 +75,9 @@ class Camera:
         """
         if self.k1 == 0.0 and self.k2 == 0.0:
             return np.array(points_px, float)
-        centre, focal = np.array([self.cx, self.cy]), np.array([self.fx, self.fy])
-        raw = (np.asarray(points_px, float) - centre) / focal
-        distorted = np.sqrt(raw[..., 0] ** 2 + raw[..., 1] ** 2)
+        points = np.asarray(points_px, float)
+        x, y = (points[..., 0] - self.cx) / self.fx, (points[..., 1] - self.cy) / self.fy
+        distorted = np.sqrt(x * x + y * y)
         radius = distorted
         with np.errstate(all="ignore"):
             for _ in range(20):
@@ -89,22 +91,22 @@ class Camera:
             folded = (1 + r2 * (3 * self.k1 + 5 * self.k2 * r2)) <= 0
             residual = np.abs(radius * (1 + r2 * (self.k1 + self.k2 * r2)) - distorted)
             bad = folded | (residual > 1e-9) | (radius < 0)
-            scale = np.where(distorted > 0, radius / distorted, 1.0)
-        return centre + focal * raw * np.where(bad, np.nan, scale)[..., None]
+            factor = np.where(bad, np.nan, np.where(distorted > 0, radius / distorted, 1.0))
+        return columns(self.cx + self.fx * x * factor, self.cy + self.fy * y * factor)
 
     def rays(self, points_px: Array) -> Array:
         """Ideal pinhole pixels (N, 2) -> directions (N, 3) in the optical frame, z = 1 (Eq. 2.1: [g_x g_y 1])."""
         points = np.asarray(points_px, float)
         x = (points[..., 0] - self.cx) / self.fx
         y = (points[..., 1] - self.cy) / self.fy
-        return np.stack([x, y, np.ones_like(x)], axis=-1)
+        return columns(x, y, np.ones_like(x))
 
     def project(self, points_m: Array) -> Array:
         """Points (N, 3) in the optical frame [m] -> ideal pinhole pixels (N, 2); NaN behind the camera."""
         points = np.asarray(points_m, float)
         z = np.where(points[..., 2] > 0, points[..., 2], np.nan)
         x, y = points[..., 0] / z, points[..., 1] / z
-        return np.stack([self.fx * x + self.cx, self.fy * y + self.cy], axis=-1)
+        return columns(self.fx * x + self.cx, self.fy * y + self.cy)
 
     @classmethod
     def from_camera_info(cls, info: Any) -> Camera:

@@ -146,7 +146,7 @@ class ReferenceSubsets:
             ImageError: if the image or the centres cannot be used.
         """
         self.settings = settings
-        self.centres_px: Array = np.array(centres_px, dtype=np.float64)
+        self.centres_px: Array = np.array(centres_px, dtype=np.float64, order="C")
         if self.centres_px.ndim != 2 or self.centres_px.shape[1] != 2:
             raise ImageError(f"centres_px: expected shape (N, 2), got {self.centres_px.shape}")
         with _kernel_errors():

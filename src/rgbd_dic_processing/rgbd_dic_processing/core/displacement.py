@@ -128,7 +128,7 @@ class DisplacementMeasurement:
         if base is None:
             raise _Unmeasured(FrameStatus.NOT_COMPENSATED, "its reference is not known here")
         moved_px = self._camera.undistort(field.moved_px)
-        sigma_px = np.maximum(field.sigma_px.astype(float), LEAST_SIGMA_PX)
+        sigma_px = np.maximum(field.sigma_px.astype(float, order="F"), LEAST_SIGMA_PX)  # as `columns` lie in memory
         fixed = np.flatnonzero(base.fixed & np.isfinite(moved_px + sigma_px).all(axis=1))
         if len(fixed) < self._settings.min_subsets:
             raise _Unmeasured(
@@ -168,7 +168,7 @@ class DisplacementMeasurement:
             raise _Unmeasured(*planes.missing)
         if planes.carried is not None and plane is not None:
             reference_plane, plane, pose = planes.carried
-        surface = None
+        surface = known_pose = None
         if base.is_shaped:
             rigid = self._settings.method not in FINDS_SHAPE
             if rigid:
@@ -176,8 +176,9 @@ class DisplacementMeasurement:
             surface = base.surface(reference_plane)
             reference_plane = surface.plane
             if rigid:
-                seed = pose_from_homography(self._camera, base.homography(frame.field), reference_plane)
-                moved_px = moved_px - surface.parallax_px(seed)
+                start = pose_from_homography(self._camera, base.homography(frame.field), reference_plane)
+                known_pose = reference_plane, start
+                moved_px = moved_px - surface.parallax_px(start)
         view = FrameView(
             self._camera,
             base.ideal_px,
@@ -193,6 +194,7 @@ class DisplacementMeasurement:
             surface,
             base.plane_changes(frame.field.stamp_ns),
             base.bulge(frame.field.stamp_ns, reference_plane),
+            known_pose,
         )
         compensation = SOLVERS[self._settings.method](view, self._settings)
         view, surface = base.with_shape(view, compensation, frame.field.stamp_ns)

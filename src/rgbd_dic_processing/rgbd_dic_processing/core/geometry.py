@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,18 +31,21 @@ class Plane:
 
     def inverse_depth_covariance(self) -> Array:
         """Covariance (3, 3) of `inverse_depth`."""
-        jacobian = np.hstack([np.eye(3) / -self.d, (self.normal / self.d**2)[:, None]])
+        jacobian = np.zeros((3, 4))
+        jacobian[[0, 1, 2], [0, 1, 2]] = -1 / self.d
+        jacobian[:, 3] = self.normal / self.d**2
         return jacobian @ self.covariance @ jacobian.T
 
     @classmethod
     def from_inverse_depth(cls, pi: Array, covariance: Array | None = None) -> Plane:
         """From pi (3,) [1/m] and its covariance (3, 3)."""
-        length = float(np.linalg.norm(pi))
+        length = math.hypot(*pi)
         normal = pi / length
-        d_normal = (np.eye(3) - np.outer(normal, normal)) / length
-        d_offset = normal / length**2
-        jacobian = np.vstack([d_normal, d_offset])
-        covariance = np.zeros((3, 3)) if covariance is None else covariance
+        if covariance is None:
+            return cls(normal, -1 / length, np.zeros((4, 4)))
+        jacobian = np.empty((4, 3))
+        jacobian[:3] = (np.eye(3) - normal[:, None] * normal) / length
+        jacobian[3] = normal / length**2
         return cls(normal, -1 / length, jacobian @ covariance @ jacobian.T)
 
     def depths(self, rays: Array) -> Array:
@@ -79,50 +84,56 @@ def pose_from_homography(camera: Camera, H: Array, plane: Plane) -> tuple[Array,
     R is the rotation nearest to the (noisy) result.
     """
     M = camera.inverse_matrix @ H @ camera.matrix
-    across = _across(plane.normal)
-    moved = M @ across
-    s = np.sqrt(np.linalg.norm(moved[:, 0]) * np.linalg.norm(moved[:, 1]))
+    source = _axes(plane.normal)
+    moved = M @ source[:, :2]
+    s = np.prod(np.sum(moved**2, axis=0)) ** 0.25
     if np.linalg.det(M) < 0:
         s = -s
-    moved = moved / s
-    source = np.column_stack([across, _cross(*across.T)])
-    target = np.column_stack([moved, _cross(*moved.T)])
-    R = nearest_rotation(target @ source.T)
+    first, second = (moved / s).T.tolist()
+    R = nearest_rotation(np.array([first, second, _cross(first, second)]).T @ source.T)
     t = plane.d * (R - M / s) @ plane.normal
     return R, t
 
 
-def _across(normal: Array) -> Array:
-    """Two unit vectors across it and each other, (3, 2)."""
-    first = _cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
-    first = first / np.sqrt(first @ first)
-    return np.column_stack([first, _cross(normal, first)])
+def _axes(normal: Array) -> Array:
+    """Two unit vectors across a unit vector and each other, and what is across both, (3, 3)."""
+    n = normal.tolist()
+    least = min(range(3), key=lambda axis: abs(n[axis]))
+    first = _cross(n, [float(axis == least) for axis in range(3)])
+    length = math.hypot(*first)
+    first = [value / length for value in first]
+    second = _cross(n, first)
+    return np.array([first, second, _cross(first, second)]).T
 
 
-def _cross(a: Array, b: Array) -> Array:
+def _cross(a: Sequence[float], b: Sequence[float]) -> list[float]:
     """np.cross of two vectors, without its cost."""
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 
 
 def apply_homography(H: Array, points_px: Array) -> Array:
     """Points (N, 2) -> (N, 2), or (k, N, 2) by several homographies (k, 3, 3); NaN for a point that goes to infinity or
     behind."""
     points = np.asarray(points_px, float)
-    homogeneous = points @ np.swapaxes(H[..., :2], -1, -2) + H[..., None, :, 2]
-    w = homogeneous[..., 2:]
-    return homogeneous[..., :2] / np.where(w > 0, w, np.nan)
+    homogeneous = H[..., :2] @ np.swapaxes(points, -1, -2) + H[..., 2:]  # (..., 3, N): NumPy is slow on rows of three
+    w = homogeneous[..., 2:, :]
+    return np.swapaxes(homogeneous[..., :2, :] / np.where(w > 0, w, np.nan), -1, -2)
 
 
 def homography_jacobian(H: Array, points_px: Array) -> Array:
     """(N, 2, 2), how much the images of points (N, 2) move with them."""
     w = points_px @ H[2, :2] + H[2, 2]
-    return (H[:2, :2] - apply_homography(H, points_px)[:, :, None] * H[2, :2]) / w[:, None, None]
+    u, v = apply_homography(H, points_px).T
+    entries = [(H[0, i] - u * H[2, i]) / w for i in (0, 1)], [(H[1, i] - v * H[2, i]) / w for i in (0, 1)]
+    return np.moveaxis(np.array(entries), -1, 0)
 
 
 def nearest_rotation(M: Array) -> Array:
     """The rotation (3, 3) nearest to M in the Frobenius norm."""
     u, _, vt = np.linalg.svd(M)
-    return u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
+    if np.linalg.det(u @ vt) < 0:
+        u[:, 2] = -u[:, 2]
+    return u @ vt
 
 
 def rigid_transform(source: Array, target: Array) -> tuple[Array, Array]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,7 +46,7 @@ class Surface:
         covariance = self.covariance if covariance is None else covariance
         return replace(self, inverse_depth=self.inverse_depth + by, covariance=covariance)
 
-    @property
+    @cached_property
     def plane(self) -> Plane:
         """That is nearest to it over the whole panel."""
         return Plane.from_inverse_depth(self.inverse_depth[:3], self.covariance[:3, :3])
@@ -61,8 +62,10 @@ class Surface:
     def parallax_px(self, pose: Pose) -> Array:
         """(N, 2), by how much the subsets are seen elsewhere than if they lay on the plane [px]."""
         R, t = pose
-        on_plane = self.plane.points(self.rays)
-        return self.camera.project(self.points() @ R.T + t) - self.camera.project(on_plane @ R.T + t)
+        turned = (R @ self.rays.T).T  # each coordinate together in memory, as in `columns`
+        depths = 1 / (self.terms @ self.inverse_depth), self.plane.depths(self.rays)
+        here, on_plane = (self.camera.project(turned * z[:, None] + t) for z in depths)
+        return here - on_plane
 
     def fit_pose(
         self, moved_px: Array, sigma_px: Array, fixed: NDArray[np.intp], seed: Array, robust_sigmas: float
@@ -84,17 +87,26 @@ class Surface:
         region, takes up [px]."""
         plane, across = self.covariance[:3, :3], self.covariance[:3, 3:]
         of_curvature = self.covariance[3:, 3:] - across.T @ np.linalg.solve(plane, across)
-        by_pose, by_shape = self.by_shape(pose)
-        shifts = np.tensordot(independent_modes(of_curvature), by_shape[3:], 1)
+        by_pose, by_depth = self._by_pose_and_depth(pose)
+        by_pose, by_depth = np.swapaxes(by_pose, 1, 2), by_depth.T  # each coordinate together, as it is in memory
+        shifts = (independent_modes(of_curvature) @ self.terms[:, 3:].T)[:, None] * by_depth
         if bulge is not None:
-            shifts = np.concatenate([shifts, bulge.doubts_px(self.camera, self.points(), pose)])
-        of_fixed = by_pose[:, fixed].reshape(6, -1).T, shifts[:, fixed].reshape(len(shifts), -1).T
-        return shifts - np.tensordot(least_squares(*of_fixed).T, by_pose, 1)
+            of_bulge = bulge.doubts_px(self.camera, self.points(), pose)
+            shifts = np.concatenate([shifts, np.swapaxes(of_bulge, 1, 2)])
+        of_fixed = by_pose[..., fixed].reshape(6, -1).T, shifts[..., fixed].reshape(len(shifts), -1).T
+        taken_up = least_squares(*of_fixed).T @ by_pose.reshape(6, -1)
+        return np.swapaxes(shifts - taken_up.reshape(shifts.shape), 1, 2)
 
     def by_shape(self, pose: Pose) -> tuple[Array, Array]:
         """(6, N, 2), by how many pixels the subsets move with the pose (rotation vector, translation), and with
         `inverse_depth`."""
+        by_pose, by_depth = self._by_pose_and_depth(pose)
+        return by_pose, np.swapaxes(self.terms.T[:, None] * by_depth.T, 1, 2)
+
+    def _by_pose_and_depth(self, pose: Pose) -> tuple[Array, Array]:
+        """(6, N, 2) and (N, 2), by how many pixels the subsets move with the pose, and with their 1/z."""
         R, t = pose
-        turned = self.points() @ R.T
-        focal = np.array([self.camera.fx, self.camera.fy])
-        return pose_jacobian(focal, turned, turned + t), pixel_jacobian(focal, self.steps() @ R.T, turned + t)
+        depths = 1 / (self.terms @ self.inverse_depth)
+        turned = (R @ self.rays.T).T * depths[:, None]
+        focal, steps = np.array([self.camera.fx, self.camera.fy]), turned * -depths[:, None]
+        return pose_jacobian(focal, turned, turned + t), pixel_jacobian(focal, steps, turned + t)

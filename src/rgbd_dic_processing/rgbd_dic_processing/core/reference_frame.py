@@ -67,6 +67,7 @@ class ReferenceFrame:
         self._grid_px = _grid(self.ideal_px)
         self._step_at_reference: PlaneEstimate | None = None
         self._correlation: tuple[float, csr_matrix] | None = None
+        self._realigned: Realignment | None = None
         self._planes = ReferencePlane(camera, settings.robust_sigmas)
         self._carried = CarriedPlanes(settings.plane_window_s)
         self._motion, self._delay = PanelMotion(), DelayEstimate()
@@ -308,9 +309,13 @@ class ReferenceFrame:
         return PanelGeometry((points - origin) @ axes, self.right, self._astride, axes)
 
     def _realignment(self, plane: Plane) -> Realignment:
-        if self.regions.x_axis is not None:
-            return realign_to_axis(self.camera, plane, self._x_axis_px)
-        return realign_to_principal_axes(self.camera, plane, self.ideal_px[np.isfinite(self.ideal_px[:, 0])])
+        if self._realigned is None or self._realigned.plane is not plane:  # the same for several images
+            if self.regions.x_axis is not None:
+                self._realigned = realign_to_axis(self.camera, plane, self._x_axis_px)
+            else:
+                known_px = self.ideal_px[np.isfinite(self.ideal_px[:, 0])]
+                self._realigned = realign_to_principal_axes(self.camera, plane, known_px)
+        return self._realigned
 
     def _step(self, frame: JoinedFrame, method: str) -> tuple[float, float]:
         """Change of the step across the crack since the reference's own ToF frame, and its uncertainty [m] (pc_3d).
@@ -336,9 +341,8 @@ class ReferenceFrame:
         for side, zone in enumerate(self.zones):
             found = zone[np.isfinite(per_x[zone, 0])]
             if len(found):
-                means[:, side] = (coupling[:, found, :1] * per_x[found] + coupling[:, found, 1:] * per_y[found]).mean(
-                    axis=1
-                )
+                sums = coupling[:, found, 0] @ per_x[found] + coupling[:, found, 1] @ per_y[found]
+                means[:, side] = sums / len(found)
         return means
 
 

@@ -31,7 +31,7 @@ class SeedMaps:
         stencil = np.empty((len(STENCIL), len(centres_px), 2))
         for axis in (0, 1):
             np.add(centres_px[:, axis], reach_px * STENCIL[:, None, axis], out=stencil[:, :, axis])
-        self._ideal = camera.undistort(stencil.reshape(-1, 2)).reshape(stencil.shape)
+        self._ideal = np.ascontiguousarray(camera.undistort(stencil))
 
     def seeds(self, H: Array, chosen: NDArray[np.intp] | slice = slice(None), offsets_px: Array | None = None) -> Array:
         """(N, 2, 6) for the homography H (3, 3), reference -> image in ideal pixels; or those of the chosen subsets.
@@ -44,4 +44,5 @@ class SeedMaps:
             else np.arange(self._ideal.shape[1], dtype=np.int32)[chosen]
         )
         H = np.ascontiguousarray(H, float)
+        offsets_px = None if offsets_px is None else np.ascontiguousarray(offsets_px, float)
         return _kernel.seed_maps(self._ideal, H, self._lens, self._reach, offsets_px, indices, self._threads)

@@ -69,15 +69,18 @@ class SurfaceEstimate:
         self._rays = camera.rays(reference_px)
         known = np.isfinite(reference_px).all(axis=1)
         self._terms = np.column_stack([self._rays, _curved(self._rays, known)])
+        self._reach = np.nanmax(np.abs(self._rays[:, :2]), axis=0)
         self._bow_m = bow_m
         self._views = SharedReference(reference_px, 6)
         self._latest_ns: int | None = None
+        self._latest: tuple[Plane, Curvature | None, Surface] | None = None  # what was asked; until a view comes
 
     def surface(self, tof: Plane, bow: Curvature | None) -> Surface:
         """As it is known now, with the plane that the ToF sensor saw, and the curvature about it if that counts."""
+        if self._latest is not None and self._latest[0] is tof and self._latest[1] is bow:
+            return self._latest[2]
         z2 = tof.d**2
-        reach = np.nanmax(np.abs(self._terms[:, :2]), axis=0)
-        accuracy = np.diag([*(TOF_ERROR_M / z2 / reach) ** 2, 0.0])
+        accuracy = np.diag([*(TOF_ERROR_M / z2 / self._reach) ** 2, 0.0])
         prior = np.zeros((6, 6))
         prior[:3, :3] = np.linalg.inv(tof.inverse_depth_covariance() + accuracy)
         prior[3:, 3:] = np.eye(3) * (z2 / self._bow_m) ** 2
@@ -89,7 +92,9 @@ class SurfaceEstimate:
             weighed[3:] += seen @ by_curvature @ bow.values
         covariance = np.linalg.inv(prior + self._views.information)
         mean = covariance @ weighed
-        return Surface(self._camera, self._rays, self._terms, mean, covariance)
+        surface = Surface(self._camera, self._rays, self._terms, mean, covariance)
+        self._latest = tof, bow, surface
+        return surface
 
     def _by_curvature(self, plane: Plane) -> Array:
         """(3, 3), how the curved part of `inverse_depth` goes with the curvature about a plane."""
@@ -162,6 +167,7 @@ class SurfaceEstimate:
         onto_others = np.linalg.solve(matrix[n:, n:] + view.stiffness, matrix[n:, :n])
         left = matrix[:n, :n] - onto_others.T @ matrix[n:, :n]
         right = right[:n] - onto_others.T @ right[n:] + left[:, : len(view.before)] @ view.before
+        self._latest = None
         self._views.add(share * left, share * right, view.subsets, view.sigma_px**2)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from rgbd_dic_acquisition.columns import columns
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
@@ -59,8 +60,9 @@ def linear_modes(
     products = direct[chosen].T @ spread[chosen]
     modes = independent_modes(products[:count, :count] + products[count:, count:])
     to_unit = modes / np.sum(modes**2, axis=1, keepdims=True)
-    of_unit = (spread.reshape(-1, count) @ to_unit.T).reshape(subsets, 2, -1)
-    return modes, (of_unit * np.nan_to_num(sigma)[..., None]).transpose(2, 0, 1)
+    known = np.nan_to_num(sigma).T
+    by_x, by_y = ((to_unit @ spread[:, i * count : (i + 1) * count].T) * known[i] for i in (0, 1))
+    return modes, columns(by_x, by_y)
 
 
 def independent_modes(covariance: Array) -> Array:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from rgbd_dic_acquisition.calibration import Camera
+from rgbd_dic_acquisition.columns import columns
 from rgbd_dic_acquisition.errors import MeasurementError
 from scipy.spatial.transform import Rotation
 
@@ -112,7 +113,7 @@ def pose_jacobian(focal: Array, turned: Array, moved: Array) -> Array:
     """d pixel / d (rotation vector, translation), (6, M, 2), for R <- exp(w) R, t <- t + dt."""
     (x, y, z), depth = turned.T, moved[:, 2]
     u, v = moved[:, 0] / depth, moved[:, 1] / depth
-    by_pose = np.empty((6, 2, len(depth)))
+    by_pose = np.empty((6, 2, len(depth)))  # each coordinate together in memory, as in `columns`
     by_pose[0] = -u * y, -z - v * y
     by_pose[1] = z + u * x, v * x
     by_pose[2] = -y, x
@@ -124,8 +125,9 @@ def pose_jacobian(focal: Array, turned: Array, moved: Array) -> Array:
 
 def pixel_jacobian(focal: Array, steps: Array, moved: Array) -> Array:
     """(k, M, 2), by how many pixels points (M, 3) in the camera's frame move with steps (k, M, 3)."""
-    z = moved[:, 2, None]
-    return (steps[..., :2] - (moved[:, :2] / z) * steps[..., 2:]) / z * focal
+    x, y, z = moved.T
+    by_x, by_y, by_z = np.moveaxis(steps, -1, 0)
+    return columns((by_x - (x / z) * by_z) / z * focal[0], (by_y - (y / z) * by_z) / z * focal[1])
 
 
 def displaced(pose: Pose, step: Array) -> Pose:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 from rgbd_dic_acquisition.calibration import Camera
+from rgbd_dic_acquisition.columns import columns
 from scipy.sparse import csr_matrix
 
 from ..error_sources import ErrorSource
@@ -56,6 +57,7 @@ class FrameView:
     surface: the panel's shape, for a solver that refines it; None where it is flat, or is taken off moved_px already.
     changes: `PlaneChanges.at_image` of this frame; None for a solver that does not ask.
     bulge: what a loaded panel may stand out since the reference; None if it does not.
+    known_pose: a plane and `seed_pose` of it, if it was needed before.
     """
 
     camera: Camera
@@ -72,10 +74,13 @@ class FrameView:
     surface: Surface | None = None
     changes: Callable[[tuple[Array, Array], Array, Array], PlaneChange | None] | None = None
     bulge: Bulge | None = None
+    known_pose: tuple[Plane, tuple[Array, Array]] | None = None
 
     @cached_property
     def seed_pose(self) -> tuple[Array, Array]:
         """The pose (R, t) that the seed is, of the reference plane."""
+        if self.known_pose is not None and self.known_pose[0] is self.reference_plane:
+            return self.known_pose[1]
         return pose_from_homography(self.camera, self.seed, self.reference_plane)
 
     def with_reference_plane(self, reference_plane: Plane) -> FrameView:
@@ -100,12 +105,12 @@ class HomographyMotion:
     def panel_points(self, moved_px: Array, realignment: Realignment) -> Array:
         """Moved centres (N, 2), camera motion removed, in the panel frame (N, 3) [m]; z is NaN."""
         in_plane = apply_homography(realignment.homography @ np.linalg.inv(self.homography), moved_px)
-        return np.column_stack([in_plane, np.full(len(in_plane), np.nan)])
+        return columns(*in_plane.T, np.full(len(in_plane), np.nan))
 
     def reference_points(self, reference_px: Array, realignment: Realignment) -> Array:
         """The centres in the reference, in the panel frame (N, 3) [m]; z is NaN."""
         in_plane = realignment.from_pixels(reference_px)
-        return np.column_stack([in_plane, np.full(len(in_plane), np.nan)])
+        return columns(*in_plane.T, np.full(len(in_plane), np.nan))
 
 
 @dataclass(frozen=True)
@@ -140,8 +145,8 @@ def panel_points_of(motions: Sequence[Motion], moved_px: Array, realignment: Rea
     """`panel_points` of each (k, N, 3). Homographies are done at once, which costs a fraction."""
     if motions and all(isinstance(motion, HomographyMotion) for motion in motions):
         back = np.linalg.inv(np.stack([motion.homography for motion in motions]))
-        in_plane = apply_homography(realignment.homography @ back, moved_px)
-        return np.concatenate([in_plane, np.full((*in_plane.shape[:2], 1), np.nan)], axis=-1)
+        in_plane = np.moveaxis(apply_homography(realignment.homography @ back, moved_px), -1, 0)
+        return columns(*in_plane, np.full(in_plane.shape[1:], np.nan))
     points = [motion.panel_points(moved_px, realignment) for motion in motions]
     return np.array(points).reshape(-1, len(moved_px), 3)
 
