@@ -39,13 +39,7 @@ class Costs:
         took_s = self._times[-1] - self._times[0]
         costs = {}
         for name, cpu in self._cpu.items():
-            memory = np.array(self._memory[name])
-            early, late = np.array_split(memory, 4)[0], np.array_split(memory, 4)[-1]
-            costs[name] = {
-                "cpu": (cpu[-1] - cpu[0]) / took_s,
-                "memory_early": float(np.median(early)),
-                "memory_late": float(np.median(late)),
-            }
+            costs[name] = {"cpu": (cpu[-1] - cpu[0]) / took_s, "memory": np.round(self._memory[name], 1).tolist()}
         all_of_ours = sum(cost["cpu"] for cost in costs.values())
         costs["others"] = {"cpu": (self._machine[-1] - self._machine[0]) / took_s - all_of_ours}
         return costs

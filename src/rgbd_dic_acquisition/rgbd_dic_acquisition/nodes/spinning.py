@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ctypes
+import gc
+import inspect
 import os
 import signal
 import sys
@@ -62,6 +64,7 @@ def run_together(make_nodes: Callable[[], list[Node]], args: Sequence[str] | Non
         executor = EventsExecutor()
         for node in nodes:
             executor.add_node(node)
+        _settle()
         try:
             _spin(nodes, executor, signals)
         finally:
@@ -118,6 +121,16 @@ def _let_arrive(node: Node) -> None:
     deadline = time.monotonic() + ARRIVE_S
     for publisher in node.publishers if rclpy.ok() else ():
         publisher.wait_for_all_acked(Duration(seconds=max(0.0, deadline - time.monotonic())))
+
+
+def _settle() -> None:
+    """Do now what would hold up a node once at work, for longer than images take to follow each other."""
+    # rclpy asks `inspect` who logs, which the first time looks through all modules: a node that warned of an image that
+    # it left out, as the first thing that it logged, left out more for that.
+    inspect.getmodule(inspect.currentframe())
+    # What was made so far stays: the garbage collector need not look through it again.
+    gc.collect()
+    gc.freeze()
 
 
 def prepare_process() -> None:

@@ -101,7 +101,7 @@ class CrackMeasurement:
         means = [shares @ field.displacement_m[zone] for zone, shares in sides]
         apart = means[1] - means[0]
         jump = np.append(axes @ apart[:2], apart[2])
-        parts = variance_parts(field, layout.correlation, axes, sides, jump)
+        parts = variance_parts(field, layout.correlations, axes, sides, jump)
         variance = parts.sum(axis=0)
         variance[2] += field.u_step_m**2
         magnitude, u_magnitude = _magnitude(jump, variance)
@@ -130,21 +130,23 @@ class CrackMeasurement:
 
 @dataclass(frozen=True)
 class _ZoneLayout:
-    """Which subsets belong to each zone, and how their errors correlate; the same for all frames of a keyframe."""
+    """Which subsets belong to each zone, and how the errors of either correlate; the same for all frames of a
+    keyframe."""
 
     left: NDArray[np.intp]
     right: NDArray[np.intp]
     line: CrackLine
     centres_px: Array
     subset_px: float
-    correlation: csr_matrix
+    correlations: tuple[csr_matrix, csr_matrix]
 
     @classmethod
     def of(cls, camera: Camera, zones: CrackZones, field: DisplacementField) -> _ZoneLayout:
         centres = field.centres_px.astype(float)
         line = CrackLine(camera, zones, centres)
-        correlation = overlap_correlation(centres, field.subset_px)
-        return cls(*zones.members(centres), line, centres, field.subset_px, correlation)
+        members = zones.members(centres)
+        left, right = (overlap_correlation(centres, field.subset_px, zone) for zone in members)
+        return cls(*members, line, centres, field.subset_px, (left, right))
 
     def fits(self, field: DisplacementField) -> bool:
         """Whether it is that of a field."""

@@ -17,19 +17,19 @@ Side = tuple[NDArray[np.intp], Array]  # indices (n,) of the subsets of a zone, 
 
 
 def variance_parts(
-    field: DisplacementField, correlation: csr_matrix, axes: Array, sides: Sequence[Side], jump_m: Array
+    field: DisplacementField, correlations: Sequence[csr_matrix], axes: Array, sides: Sequence[Side], jump_m: Array
 ) -> Array:
     """Variances (sources, 3) of the jump between two zones along the crack axes [m^2], row by `ErrorSource`; they add
     up to its variance. NaN for z where it is not known.
 
     Args:
-        correlation: `overlap_correlation` (N, N).
+        correlations: `overlap_correlation` (N, N) of all subsets of either zone.
         axes: rows (2, 2), normal to the crack and along it, in panel coordinates.
         sides: the left and the right zone.
         jump_m: (3,), in crack axes.
     """
     parts = np.zeros((len(ErrorSource), 3))
-    for zone, shares in sides:
+    for correlation, (zone, shares) in zip(correlations, sides, strict=True):
         squared = field.sigma_m[zone].astype(float) ** 2
         component = np.sqrt(np.column_stack([squared[:, :2] @ (axes**2).T, squared[:, 2]])) * shares[:, None]
         parts[ErrorSource.SUBSETS] += overlaps(correlation, zone, component)

@@ -43,7 +43,11 @@ class SharedReference:
         Args:
             carried: (M, 2, 2), d pixel in the view / d pixel in the reference.
         """
-        return np.einsum("mia,tm->atmi", carried, self._terms[:, subsets]).reshape(-1, len(subsets), 2)
+        terms = self._terms[:, subsets]
+        moved = np.empty((2, len(terms), 2, len(subsets)))  # each coordinate together in memory, as in `columns`
+        for error, pixel in np.ndindex(2, 2):
+            np.multiply(terms, carried[:, pixel, error], out=moved[error, :, pixel])
+        return np.swapaxes(moved.reshape(-1, 2, len(subsets)), 1, 2)
 
     def add(self, matrix: Array, right: Array, subsets: NDArray[np.intp], variance_px2: Array) -> None:
         """Take in a view.

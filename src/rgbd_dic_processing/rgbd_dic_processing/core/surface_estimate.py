@@ -160,10 +160,12 @@ class SurfaceEstimate:
         """The normal equations of the shape and of the reference's noise; the other unknowns are eliminated (Schur
         complement)."""
         carried = homography_jacobian(view.seed, self._reference_px[view.subsets])
-        sought = np.concatenate([view.by_shape, self._views.by_error(view.subsets, carried)])
-        by_all = np.concatenate([sought, view.by_others]).reshape(len(sought) + len(view.by_others), -1)
-        weighted = by_all * view.weights.ravel()
-        matrix, right, n = weighted @ by_all.T, weighted @ view.residual_px.ravel(), len(sought)
+        parts = view.by_shape, self._views.by_error(view.subsets, carried), view.by_others
+        by_all = np.concatenate([np.swapaxes(part, 1, 2) for part in parts])  # each coordinate together in memory
+        by_all = by_all.reshape(len(by_all), -1)
+        weighted = by_all * view.weights.T.ravel()
+        matrix, right = weighted @ by_all.T, weighted @ view.residual_px.T.ravel()
+        n = len(matrix) - len(view.by_others)
         onto_others = np.linalg.solve(matrix[n:, n:] + view.stiffness, matrix[n:, :n])
         left = matrix[:n, :n] - onto_others.T @ matrix[n:, :n]
         right = right[:n] - onto_others.T @ right[n:] + left[:, : len(view.before)] @ view.before

@@ -11,19 +11,22 @@ from scipy.spatial import cKDTree
 Array = NDArray[np.float64]
 
 
-def overlap_correlation(centres_px: Array, subset_px: float) -> csr_matrix:
-    """Correlation (N, N) of the errors of subsets that share pixels.
+def overlap_correlation(
+    centres_px: Array, subset_px: float, members: NDArray[np.intp] | slice = slice(None)
+) -> csr_matrix:
+    """Correlation (N, N) of the errors of subsets that share pixels; zero for those that are not members.
 
     White noise in the image makes the errors of two subsets correlate as the share of pixels that they have in
     common, (1 - |dx|/L)(1 - |dy|/L); so a mean over N overlapping subsets is less certain than sigma / sqrt(N).
     """
     centres = np.asarray(centres_px, float)
-    first, second = cKDTree(centres).query_pairs(subset_px - 1e-9, p=np.inf, output_type="ndarray").T
+    every = np.arange(len(centres))[members]
+    near = cKDTree(centres[every]).query_pairs(subset_px - 1e-9, p=np.inf, output_type="ndarray")
+    first, second = every[near.T]
     share = np.prod(1 - np.abs(centres[first] - centres[second]) / subset_px, axis=1)
-    every = np.arange(len(centres))
     return csr_matrix(
         (
-            np.concatenate([np.ones(len(centres)), share, share]),
+            np.concatenate([np.ones(len(every)), share, share]),
             (np.concatenate([every, first, second]), np.concatenate([every, second, first])),
         ),
         shape=(len(centres), len(centres)),

@@ -44,9 +44,9 @@ class PairingNode(Node):
         self.create_subscription(CameraInfo, "camera/camera_info", self._image, qos, raw=True)
         self._imu = self.create_subscription(Imu, "imu/data", self._attitude, qos)
         if self.declare_parameter("use_points", False).value:
-            self.create_subscription(PointCloud2, "tof/points", self._points, qos, raw=True)
+            self.create_subscription(PointCloud2, "tof/points", self._depth, qos, raw=True)
         else:
-            self.create_subscription(CameraInfo, "tof/depth/camera_info", self._depth, qos)
+            self.create_subscription(CameraInfo, "tof/depth/camera_info", self._depth, qos, raw=True)
 
     @property
     def subscriptions(self) -> Iterator[Subscription]:
@@ -58,11 +58,7 @@ class PairingNode(Node):
         self._idle.touch()
         self._publish(self._pairing.add_image(header_stamp_ns(serialised)))
 
-    def _depth(self, info: CameraInfo) -> None:
-        self._idle.touch()
-        self._publish(self._pairing.add_depth(stamp_to_ns(info.header.stamp)))
-
-    def _points(self, serialised: bytes) -> None:
+    def _depth(self, serialised: bytes) -> None:
         self._idle.touch()
         self._publish(self._pairing.add_depth(header_stamp_ns(serialised)))
 
