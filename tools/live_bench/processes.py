@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from scipy.stats import theilslopes
 
 sys.path.append(str(Path(__file__).parents[1]))
 from process_cost import TICKS, own_memory_mb, processor_s
 
 PERIOD_S = 1.0
+# Until the nodes have all that they keep: compensation_node ToF frames of 30 s, in which it looks for a delay within 30 s
+# more, earlier at full rate; recorder_node the index of one file, 35 s.
+SETTLED_S = 50.0
+LEAST_S = 20.0  # after that, to tell what grows
 
 
 class Costs:
@@ -32,8 +38,8 @@ class Costs:
         self._thread.start()
 
     def stop(self) -> dict[str, dict[str, float]]:
-        """name -> cpu (share of one core), memory at the start, at the end and at most [MB]; `others`: what other
-        programs took of the machine."""
+        """name -> cpu (share of one core), memory each second [MB]; `others`: cpu that other programs took of the
+        machine."""
         self._ended.set()
         self._thread.join()
         took_s = self._times[-1] - self._times[0]
@@ -53,6 +59,18 @@ class Costs:
             self._machine.append(_machine_s())
             if self._ended.wait(PERIOD_S):
                 return
+
+
+def growth_mb_min(memory_mb: Sequence[float]) -> float:
+    """By how much the memory of a process grows after SETTLED_S [MB/min], from `Costs`; NaN if that is too short.
+
+    The median of the slopes between any two moments (Theil 1950, Sen 1968): a leak grows all the time, however slowly,
+    while a single step is one more block of memory for what takes more now and then.
+    """
+    settled = np.array(memory_mb)[round(SETTLED_S / PERIOD_S) :]
+    if len(settled) < LEAST_S / PERIOD_S:
+        return math.nan
+    return float(theilslopes(settled, np.arange(len(settled)) * PERIOD_S / 60).slope)
 
 
 def _machine_s() -> float:

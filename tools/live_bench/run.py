@@ -21,11 +21,11 @@ from stages import stages
 
 ROOT = Path(__file__).parents[2]
 RAW = ROOT / "results" / "live_bench"
-MAIN = Case(1500, recording=True, duration_s=60.0)
+MAIN = Case(1500, recording=True, duration_s=100.0)
 CASES = (
     MAIN,
-    Case(1500, recording=True, duration_s=60.0, composed=AFTER_DIC),
-    Case(1500, recording=True, duration_s=60.0, composed=ALL),
+    Case(1500, recording=True, duration_s=100.0, composed=AFTER_DIC),
+    Case(1500, recording=True, duration_s=100.0, composed=ALL),
     Case(500, recording=True, duration_s=20.0),
     Case(500, recording=False, duration_s=20.0),
     Case(1500, recording=False, duration_s=20.0),
