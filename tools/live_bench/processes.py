@@ -16,8 +16,8 @@ sys.path.append(str(Path(__file__).parents[1]))
 from process_cost import TICKS, own_memory_mb, processor_s
 
 PERIOD_S = 1.0
-# Until the nodes have all that they keep: compensation_node ToF frames of 30 s, in which it looks for a delay within 30 s
-# more, earlier at full rate; recorder_node the index of one file, 35 s.
+# Until the nodes have all that they keep: compensation_node ToF frames of 30 s, in which it looks for a delay within
+# another 30 s, earlier at full rate; recorder_node the index of one file, 35 s.
 SETTLED_S = 50.0
 LEAST_S = 20.0  # after that, to tell what grows
 

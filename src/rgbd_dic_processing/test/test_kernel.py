@@ -5,8 +5,8 @@ inverse of the deformation, at the pixels of the target. It is band-limited, so 
 noise and the kernel itself can displace a subset.
 """
 
-import gc
 import dataclasses
+import gc
 import re
 import resource
 import subprocess
