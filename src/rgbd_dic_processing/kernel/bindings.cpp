@@ -65,33 +65,11 @@ Value checked(Value value, const char* name, Value low, Value high) {
 
 int checked_threads(int threads) { return resolve_threads(checked(threads, "threads", 0, kMaxThreads)); }
 
-// What the memory of an array belongs to, through all arrays that are views of it.
-py::object lowest_base(py::object array) {
-  while (py::isinstance<py::array>(array) && py::cast<py::array>(array).base())
-    array = py::cast<py::array>(array).base();
-  return array;
-}
-
-// An image of the pixels in an array: where they are bytes of Python, which never change, or else of a copy.
-template <class Value>
-Image kept_or_copied(const py::array& image, const Value* pixels) {
-  const py::ssize_t rows = image.shape(0), cols = image.shape(1);
-  if (!image.writeable() && py::isinstance<py::bytes>(lowest_base(image))) {
-    const auto release = [](const py::array* array) {
-      const py::gil_scoped_acquire gil;
-      delete array;
-    };
-    return Image(pixels, rows, cols, std::shared_ptr<const py::array>(new py::array(image), release));
-  }
-  auto copy = std::make_shared<const std::vector<Value>>(pixels, pixels + image.size());
-  return Image(copy->data(), rows, cols, copy);
-}
-
 Image to_image(const py::array& image) {
   constexpr const char* kExpected = "uint8 or float32 of shape (rows, cols)";
   if (py::isinstance<py::array_t<std::uint8_t>>(image)) {
     const auto* pixels = checked<std::uint8_t>(image, "image", {-1, -1}, kExpected);
-    return kept_or_copied(image, pixels);
+    return Image(std::vector<std::uint8_t>(pixels, pixels + image.size()), image.shape(0), image.shape(1));
   }
   const auto* pixels = checked<float>(image, "image", {-1, -1}, kExpected);
   const py::ssize_t cols = image.shape(1);
@@ -99,7 +77,7 @@ Image to_image(const py::array& image) {
     if (!std::isfinite(pixels[i]))
       throw py::value_error("image: pixel (" + std::to_string(i % cols) + ", " + std::to_string(i / cols) +
                             ") is not a finite number");
-  return kept_or_copied(image, pixels);
+  return Image(std::vector<float>(pixels, pixels + image.size()), image.shape(0), cols);
 }
 
 // The loops that what is made from now on will use.

@@ -4,11 +4,11 @@
 #include <algorithm>
 #include <cstddef>
 #include <cstdint>
-#include <memory>
 #include <stdexcept>
 #include <string>
 #include <utility>
 #include <variant>
+#include <vector>
 
 #include "padded_image.hpp"
 
@@ -38,11 +38,10 @@ class Image {
  public:
   static constexpr int kMinSize = 8;  // px; smaller images are refused
 
-  using Pixels = std::variant<const std::uint8_t*, const float*>;
+  using Pixels = std::variant<std::vector<std::uint8_t>, std::vector<float>>;
 
-  // `owner` keeps the pixels, which do not change.
-  Image(Pixels pixels, std::ptrdiff_t rows, std::ptrdiff_t cols, std::shared_ptr<const void> owner)
-      : rows_(rows), cols_(cols), pixels_(pixels), owner_(std::move(owner)) {
+  Image(Pixels pixels, std::ptrdiff_t rows, std::ptrdiff_t cols)
+      : rows_(rows), cols_(cols), pixels_(std::move(pixels)) {
     if (rows < kMinSize || cols < kMinSize)
       throw std::invalid_argument("image of " + std::to_string(rows) + " rows and " + std::to_string(cols) +
                                   " columns: at least " + std::to_string(kMinSize) + " of each are needed");
@@ -57,17 +56,16 @@ class Image {
   void copy(const Loops& loops, const Box& box, float* out, std::ptrdiff_t stride) const {
     for (std::ptrdiff_t y = box.y0; y < box.y1; ++y, out += stride) {
       const std::ptrdiff_t first = y * cols_ + box.x0, count = box.x1 - box.x0;
-      if (const auto* bytes = std::get_if<const std::uint8_t*>(&pixels_))
-        loops.to_floats(*bytes + first, count, out);
+      if (const auto* bytes = std::get_if<std::vector<std::uint8_t>>(&pixels_))
+        loops.to_floats(bytes->data() + first, count, out);
       else
-        std::copy_n(std::get<const float*>(pixels_) + first, count, out);
+        std::copy_n(std::get<std::vector<float>>(pixels_).data() + first, count, out);
     }
   }
 
  private:
   std::ptrdiff_t rows_, cols_;
   Pixels pixels_;
-  std::shared_ptr<const void> owner_;
 };
 
 }  // namespace rgbd_dic

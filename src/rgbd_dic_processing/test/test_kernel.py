@@ -6,7 +6,6 @@ noise and the kernel itself can displace a subset.
 """
 
 import dataclasses
-import gc
 import re
 import resource
 import subprocess
@@ -349,22 +348,6 @@ def test_samples_are_those_of_scipy_up_to_the_last_pixel(reference, degree):
     np.testing.assert_allclose(values, expected, atol=2e-4)
     outside = np.array([[-0.01, 5], [5, ROWS - 0.99], [np.nan, 5]])
     assert np.isnan(_kernel.Target(reference, degree).sample(outside)).all()
-
-
-def test_a_target_keeps_its_pixels():
-    """Bytes, which nobody can change, are taken where they are; of an array there is a copy, as it may change."""
-    grey = np.random.default_rng(0).integers(0, 256, (40, 50), np.uint8)
-    points = np.random.default_rng(1).uniform(0, 39, (20, 2))
-    kept = _kernel.Target(np.frombuffer(grey.tobytes(), np.uint8).reshape(grey.shape), 3)
-    held_by_others = grey.copy()
-    read_only = held_by_others.view()
-    read_only.setflags(write=False)
-    copied = _kernel.Target(read_only, 3)
-    held_by_others[:] = 0
-    gc.collect()
-    expected = _kernel.Target(grey, 3).sample(points)
-    np.testing.assert_array_equal(kept.sample(points), expected)
-    np.testing.assert_array_equal(copied.sample(points), expected)
 
 
 def test_threads_do_not_change_a_bit(reference, warped, homography):
