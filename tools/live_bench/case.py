@@ -104,6 +104,7 @@ def measure(case: Case, played: Flight, folder: Path) -> dict[str, Any]:
     results = {"case": asdict(case), "costs": cost, "counters": ear.counters} | _openings(ear, truth_m, folder)
     if case.recording:
         results["recorded"] = _recorded(folder / "bag")
+        results["recording_ended"] = ended_early(folder)
         for path in (folder / "bag").glob("*"):
             path.unlink()
     (folder / "results.json").write_text(json.dumps(results, indent=1))
@@ -160,6 +161,11 @@ def _longest_run(flags: np.ndarray) -> int:
         run = run + 1 if flag else 0
         longest = max(longest, run)
     return longest
+
+
+def ended_early(folder: Path) -> bool:
+    """Whether the recorder ended its bag because the disk was full."""
+    return "was ended, as its disk is full" in (folder / "logs" / "recorder_node.log").read_text()
 
 
 def _recorded(bag: Path) -> dict[str, int]:
