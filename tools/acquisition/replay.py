@@ -79,9 +79,8 @@ def replay(
 def _pairing(openings: list[CrackOpening], camera: Account, tof: Account) -> Pairing:
     tof_stamps = np.array(sorted(tof.true_ns), np.int64)
     tof_moments = np.array([tof.true_ns[int(stamp)] for stamp in tof_stamps], np.int64)
-    found = [
-        opening for opening in openings if opening.stamp_ns in camera.true_ns
-    ]  # the others are told by the account
+    # of images that belong to no frame that was sent, the account tells
+    found = [opening for opening in openings if opening.stamp_ns in camera.true_ns]
     paired = [opening for opening in found if math.isfinite(opening.depth_offset_s)]
     errors, mispaired = [], 0
     for opening in paired:

@@ -77,8 +77,8 @@ class ReferenceFrame:
         self.is_shaped, self._tof_tells_bow = shaped, shaped and settings.bow_from == "images_and_tof"
         self._bulges = shaped and settings.method in FINDS_SHAPE and settings.bulge_m > 0
         asks = settings.method in FINDS_SHAPE and settings.tof_slope < 1
-        rays = camera.rays(self.ideal_px)
-        self._changes = PlaneChanges(rays, settings.tof_slope, self._delay.estimate) if asks else None
+        self._rays = camera.rays(self.ideal_px)
+        self._changes = PlaneChanges(self._rays, settings.tof_slope, self._delay.estimate) if asks else None
         self._surface = SurfaceEstimate(camera, self.ideal_px, settings.bow_m, settings.robust_sigmas)
 
     @property
@@ -181,11 +181,11 @@ class ReferenceFrame:
 
     def bulge(self, stamp_ns: int, plane: Plane) -> Bulge | None:
         """What a loaded panel may stand out in an image; None if the method does not ask, in the reference itself, and
-        where the fixed region lies on one side of the crack, as it does not tell how the other one bulges."""
+        where the fixed region does not lie on both sides of a crack: one side does not tell how the other bulges."""
         right = self.right[self.fixed]
         if not self._bulges or stamp_ns == self.reference.stamp_ns or right.all() or not right.any():
             return None
-        return Bulge.unknown(self.camera.rays(self.ideal_px), plane, self.settings.bulge_m)
+        return Bulge.unknown(self._rays, plane, self.settings.bulge_m)
 
     def plane_for(self, method: str) -> Plane | None:
         """The reference plane that a method works with; None if none is known yet.
@@ -296,7 +296,7 @@ class ReferenceFrame:
 
     def panel_geometry(self, plane: Plane) -> PanelGeometry:
         """Where the subsets are on the reference's plane, in axes of the crack; without one, of the panel."""
-        points = plane.points(self.camera.rays(self.ideal_px))
+        points = plane.points(self._rays)
         realignment = self._realignment(plane)
         axes, origin = realignment.R_panel_camera[:2].T, np.nanmean(points, axis=0)
         if self.regions.crack is not None:
