@@ -11,6 +11,7 @@ from flight_peers import AUTOPILOT, CAMERA, DELIVERY_S, PERIODS_S, sent
 from numpy.typing import NDArray
 from recorded import FRAME_TOPICS, MIDDLE_NS, Recorded
 from rendered_flight import R_FLU_FRD, R_NED_ENU, RenderedFlight
+from rgbd_dic_acquisition.nodes.diagnostics import STAMPS
 from rgbd_dic_acquisition.simulator.motion import attitude
 from scipy.spatial.transform import Rotation
 from session import NODES, Flown
@@ -21,6 +22,7 @@ TRUE_RAD = 1e-4  # and steps of the table of attitudes
 # How many standard uncertainties a stamp may be off. Half the gap between two bounds is sqrt(3) of them, and more than
 # three are out of the question but for what the computer does between the two lines that read its clocks.
 SIGMAS, READING_NS = 3.0, 100_000
+ON_THE_WAY_NS = 20_000_000  # by which a frame and a status may be recorded in another order than they were sent
 WARN = 1
 
 
@@ -99,15 +101,17 @@ def _judge_stamps(peer: str, made: Account, recorded: Recorded) -> None:
     late_ns = MIDDLE_NS if peer == CAMERA else 0
     made.errors_ns = np.array([stamp - made.true_ns[int(stamp)] - late_ns for stamp in stamps], float)
     times, stated, by_arrival = _stated(peer, recorded)
-    told = np.searchsorted(times, stamps)
-    after = np.clip(told, 1, max(times.size - 1, 1))
-    uncertainty = np.maximum(stated[after - 1], stated[np.minimum(after, times.size - 1)])
-    uncertainty[told == 0] = math.inf
-    allowed = SIGMAS * uncertainty + READING_NS
-    delivery_ns = DELIVERY_S * 1e9 if peer == AUTOPILOT else 0.0
-    allowed = allowed + np.where(
-        by_arrival[after - 1] | by_arrival[np.minimum(after, times.size - 1)], delivery_ns, 0.0
+    log_ns = np.array([recorded.stamps[FRAME_TOPICS[peer][0]][int(stamp)] for stamp in stamps])
+    # A status has the largest since the one before; which one follows a frame is known to within its way here.
+    next_ones = [
+        np.minimum(np.searchsorted(times, moments), times.size - 1) for moments in (stamps, log_ns + ON_THE_WAY_NS)
+    ]
+    uncertainty, by_arrival = (
+        np.array([np.max(each[first : last + 1]) for first, last in zip(*next_ones, strict=True)])
+        for each in (stated, by_arrival)
     )
+    delivery_ns = DELIVERY_S * 1e9 if peer == AUTOPILOT else 0.0
+    allowed = SIGMAS * uncertainty + READING_NS + np.where(by_arrival, delivery_ns, 0.0)
     made.unstated = int(np.sum(~np.isfinite(allowed)))
     made.stated_ns = (
         float(np.median(uncertainty[np.isfinite(uncertainty)])) if np.any(np.isfinite(uncertainty)) else math.nan
@@ -120,16 +124,11 @@ def _judge_stamps(peer: str, made: Account, recorded: Recorded) -> None:
 
 
 def _stated(peer: str, recorded: Recorded) -> tuple[NDArray, NDArray, NDArray]:
-    """What the node said of its clock: times, standard uncertainty [ns], whether without the time on the way."""
+    """What the node said of its stamps: times, standard uncertainty [ns], whether they lack the time on the way."""
     rows = []
     for log_ns, _, _, values in recorded.said[NODES[peer]]:
-        if peer == AUTOPILOT:
-            uncertainty_ms = float(values.get("uncertainty of the stamps [ms]", "inf"))
-            rows.append((log_ns, uncertainty_ms * 1e6, values.get("stamps by") != "TIMESYNC"))
-        else:
-            text = values.get("clock", "")
-            uncertainty_ms = float(text.split(", to ")[1].removesuffix(" ms")) if ", to " in text else math.inf
-            rows.append((log_ns, uncertainty_ms * 1e6, text.startswith("by arrivals")))
+        uncertainty_ns = 1e6 * float(values.get(STAMPS, "inf"))
+        rows.append((log_ns, uncertainty_ns, values.get("stamps by") == "arrival"))
     times, stated, by_arrival = zip(*rows, strict=True)
     return np.array(times), np.array(stated), np.array(by_arrival)
 

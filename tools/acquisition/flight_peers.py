@@ -32,8 +32,13 @@ class FlightPeers:
     def __init__(self, rendered: RenderedFlight, folder: Path) -> None:
         self._rendered, self._folder = rendered, folder
         self.port = free_port()
-        self._closing = contextlib.ExitStack()
-        self.camera = self._closing.enter_context(
+        with contextlib.ExitStack() as closing:  # if one of them does not start
+            self._start(closing)
+            self._closing = closing.pop_all()
+
+    def _start(self, closing: contextlib.ExitStack) -> None:
+        rendered, folder = self._rendered, self._folder
+        self.camera = closing.enter_context(
             our_camera(rendered.images, folder, "--latch", rate_hz=1e9 / IMAGE_PERIOD_NS)
         )
         tof = rendered.settings.tof
@@ -43,7 +48,7 @@ class FlightPeers:
         self.blaze = FakeBlaze(folder / "blaze", size=size, **played)
         os.environ.update(self.blaze.environment)
         self._autopilots = Peers(folder)
-        self._closing.callback(self._autopilots.end)
+        closing.callback(self._autopilots.end)
         self.autopilot = self._fly()
         give_turn(self.camera.pid, FIRST_NICE)
 
@@ -67,7 +72,7 @@ class FlightPeers:
     def _fly(self, **options: float) -> Peer:
         played = {"played": self._rendered.attitude, "played_ns": self._rendered.played_ns}
         log = self._folder / SENT[AUTOPILOT]
-        return self._autopilots.mavsdk(
+        peer = self._autopilots.mavsdk(
             f"udpout://{ADDRESS}:{self.port}",
             delay_s=DELIVERY_S,
             rate_hz=1 / ATTITUDE_PERIOD_S,
@@ -75,6 +80,8 @@ class FlightPeers:
             **played,
             **options,
         )
+        give_turn(peer.process.pid, FIRST_NICE)
+        return peer
 
     def __enter__(self) -> FlightPeers:
         return self
@@ -84,7 +91,7 @@ class FlightPeers:
 
 
 def give_turn(process: int, nice: int) -> None:
-    """To all its threads: a camera has a processor of its own, and a driver goes before the processing."""
+    """To all its threads: a peer has a processor of its own, and a driver goes before the processing."""
     for thread in Path(f"/proc/{process}/task").iterdir():
         with contextlib.suppress(OSError):  # it has ended, or the right is missing
             os.setpriority(os.PRIO_PROCESS, int(thread.name), nice)

@@ -17,7 +17,7 @@ from rgbd_dic_acquisition.simulator.ground_truth import save_regions
 from rgbd_dic_processing.core.crack import CrackOpening
 from rgbd_dic_processing.core.settings import ProcessingSettings
 from rgbd_dic_processing.results import CSV_NAME, compare, read_openings, read_truth
-from session import BAG
+from session import BAG, Flown
 
 # Half of an opening's variance is the noise of the reference image, which is one draw for the whole flight; the other
 # half is drawn anew in each image. If that one draw is three standard deviations off, the RMS is sqrt(9/2 + 1/2).
@@ -44,7 +44,12 @@ class Pairing:
 
 @dataclass(frozen=True)
 class Replayed:
-    """What the method made of the recording: openings, the range of the truth, the RMS error and what explains it."""
+    """What the method made of the recording.
+
+    Attributes:
+        openings, valid: of the part that counts.
+        range_m: of the truth. rms_m, bound_m: error of all that are valid, and what noise explains.
+    """
 
     openings: int
     valid: int
@@ -55,7 +60,7 @@ class Replayed:
 
 
 def replay(
-    folder: Path, rendered: RenderedFlight, settings: ProcessingSettings, camera: Account, tof: Account
+    folder: Path, rendered: RenderedFlight, settings: ProcessingSettings, flown: Flown, camera: Account, tof: Account
 ) -> Replayed:
     """Run `rgbd-dic process` on the bag, and compare."""
     truth, regions, chosen, out = (folder / name for name in ("truth.csv", "regions.yaml", "settings.yaml", "replayed"))
@@ -71,9 +76,10 @@ def replay(
     compared = compare(openings, read_truth(truth))[0]
     valid = [opening for opening in openings if opening.valid]
     stated_m = math.sqrt(np.mean([opening.u_opening_m**2 for opening in valid]))
-    shown_m = list(opening_m.values())
+    counts = [opening.valid for opening in openings if flown.begin_ns <= opening.stamp_ns < flown.end_ns]
+    range_m = float(np.ptp(list(opening_m.values())))
     pairing = _pairing(openings, camera, tof)
-    return Replayed(len(openings), len(valid), float(np.ptp(shown_m)), compared.rms_m, EXPLAINED * stated_m, pairing)
+    return Replayed(len(counts), sum(counts), range_m, compared.rms_m, EXPLAINED * stated_m, pairing)
 
 
 def _pairing(openings: list[CrackOpening], camera: Account, tof: Account) -> Pairing:

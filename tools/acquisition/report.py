@@ -71,7 +71,7 @@ def failures(accounts: dict[str, Account], measured: Replayed, timed: bool) -> l
     if measured.pairing.mispaired:
         found.append(f"{measured.pairing.mispaired} images are paired with the wrong ToF frame")
     if measured.valid < measured.openings:
-        found.append(f"{measured.openings - measured.valid} recorded images have no valid opening")
+        found.append(f"{measured.openings - measured.valid} of the recorded images that count have no valid opening")
     return found
 
 

@@ -14,12 +14,12 @@ import importlib.util
 import os
 import shutil
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rendered_flight import RenderedFlight
 from rgbd_dic_acquisition.simulator.flight import FlightSettings
-from rgbd_dic_processing.core.settings import ProcessingSettings
+from rgbd_dic_processing.core.settings import ProcessingSettings, load_settings
 
 ROOT = Path(__file__).parents[2]
 sys.path += [str(ROOT / "tools"), str(ROOT / "tools/docs"), str(ROOT / "src/rgbd_dic_acquisition/test")]
@@ -35,6 +35,7 @@ from session import NODES, Flown, Plan, fly  # noqa: E402
 
 OUT = ROOT / "results/acquisition"
 DOCUMENT = ROOT / "docs/payload.md"
+LIVE = ROOT / "src/rgbd_dic_processing/config/live.yaml"
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,7 @@ class Size:
 
     name: str
     flight: dict
-    processing: dict
+    step: int
     plan: Plan
 
 
@@ -54,10 +55,10 @@ FULL = Size(
         "camera": {"width_px": 1440, "height_px": 1080, "supersampling": 3},
         "tof": {"width_px": 640, "height_px": 480},
     },
-    {"correlation": {"step": 26}},  # 1,500 subsets
+    26,  # 1,500 subsets
     Plan(well_s=12.0, gone_s=4.0),
 )
-QUICK = Size("quick", {"duration_s": 2.0}, {}, Plan(well_s=3.5, gone_s=2.0))
+QUICK = Size("quick", {"duration_s": 2.0}, 10, Plan(well_s=3.5, gone_s=2.0))
 
 
 def main() -> int:
@@ -65,7 +66,9 @@ def main() -> int:
     parser.add_argument("--quick", action="store_true", help="20 s at 480 x 360 and 160 x 120 pixels; nothing is timed")
     parser.add_argument("--keep", action="store_true", help="keep the recording")
     parser.add_argument("--judge", action="store_true", help="do not fly; judge the recording that was kept")
-    parser.add_argument("--document", action="store_true", help="write the tables into docs/payload.md")
+    parser.add_argument(
+        "--document", action="store_true", help="write the tables into docs/payload.md if nothing failed"
+    )
     parser.add_argument(
         "--out",
         type=Path,
@@ -78,30 +81,34 @@ def main() -> int:
         return 2
     size = QUICK if given.quick else FULL
     os.environ.setdefault("ROS_DOMAIN_ID", "72")
-    folder = given.out / size.name
+    folder = (given.out / size.name).resolve()
     if not given.judge:
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
     rendered = RenderedFlight(FlightSettings.from_mapping(size.flight), OUT / f"rendered_{size.name}")
-    settings = ProcessingSettings.from_mapping(size.processing)
-    flown = Flown.load(folder) if given.judge else fly(rendered, settings, size.plan, folder)
+    in_flight, afterwards = (with_step(load_settings(path), size.step) for path in (LIVE, None))
+    flown = Flown.load(folder) if given.judge else fly(rendered, in_flight, size.plan, folder)
     recorded = Recorded(folder, flown, rendered)
     accounts = {peer: account(peer, folder, flown, recorded, rendered) for peer in NODES}
     if not accounts[CAMERA].index:
         print(f"FAILED: no image was recorded: does another program use {ADDRESS}?", file=sys.stderr)
         return 1
-    measured = replay(folder, rendered, settings, accounts[CAMERA], accounts[TOF])
+    measured = replay(folder, rendered, afterwards, flown, accounts[CAMERA], accounts[TOF])
     report = tables(flown, recorded, accounts, measured)
     (folder / "report.md").write_text(report)
     print(f"\n{report}")
     if not (given.keep or given.judge):
         shutil.rmtree(folder / "bag")
-    if given.document:
-        DOCUMENT.write_text(replace_block(DOCUMENT.read_text(), "acquisition", report))
     failed = failures(accounts, measured, timed=not given.quick)
     for failure in failed:
         print(f"FAILED: {failure}", file=sys.stderr)
+    if given.document and not failed:
+        DOCUMENT.write_text(replace_block(DOCUMENT.read_text(), "acquisition", report))
     return 1 if failed else 0
+
+
+def with_step(settings: ProcessingSettings, step: int) -> ProcessingSettings:
+    return replace(settings, correlation=replace(settings.correlation, step=step))
 
 
 def lacking() -> str:

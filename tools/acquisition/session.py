@@ -38,6 +38,7 @@ OTHER_TYPES = {
     "autopilot/time_reference": TIME_REFERENCE,
     "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
 }
+SOCKET_BUFFER_BYTES = 33_554_432  # as docs/payload.md advises; the system gives as much as it is set to
 SETTLE_S = 5.0  # in which the clocks are compared
 RUN_OUT_S = 1.0  # after the part that counts, so that what is on its way arrives
 BAG, FLOWN = "bag", "flown.json"  # in the folder of a session
@@ -79,6 +80,7 @@ def sensor_nodes(rendered: RenderedFlight, port: int) -> list[NodeSpec]:
     calibration = {"calibration": str(rendered.calibration.resolve())}
     aravis = {"transport": "gige", "address": ADDRESS, "packet_bytes": 9000, "gain": 0.0, "exposure_s": EXPOSURE_S}
     aravis["stamps"] = "end"  # as this camera sends at once
+    aravis["socket_buffer_bytes"] = SOCKET_BUFFER_BYTES
     tof = {"producer": str(producer()), "frame_rate_hz": TOF_RATE_HZ}
     return [
         _sensor("camera_node", CAMERA_TOPICS, "camera/time_reference", source="aravis", **calibration, aravis=aravis),
@@ -109,7 +111,7 @@ def fly(rendered: RenderedFlight, settings: ProcessingSettings, plan: Plan, fold
     """The whole session. The folder has the recording and what each peer wrote down."""
     files = GraphFiles(rendered.calibration, rendered.regions)
     with FlightPeers(rendered, folder) as peers, _graph(folder) as (watch, processes):
-        sensors, behind = sensor_nodes(rendered, peers.port), processing_nodes(files, settings, ("h_pose",))
+        sensors, behind = sensor_nodes(rendered, peers.port), processing_nodes(files, settings, ("h_pose",), live=True)
         behind.insert(0, recorder(folder / BAG, [*sensors, *behind]))
         watch.refuse_second_graph([*sensors, *behind])
         watch.subscribe()

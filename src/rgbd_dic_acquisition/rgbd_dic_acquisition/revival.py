@@ -25,11 +25,13 @@ class RevivableSource(Protocol[F]):
         counts: frames by what became of them.
         told: what is known of the sensor, in words.
         period_s: time between frames; infinite if they come when they come.
+        uncertainty_ns: standard uncertainty of the latest stamp [ns]; infinite until known, or without a clock.
     """
 
     counts: Counter[str]
     told: dict[str, str]
     period_s: float
+    uncertainty_ns: float
 
     def open(self) -> None: ...
 

@@ -194,24 +194,28 @@ def test_settings_that_cannot_work_are_refused(settings, reason):
         AravisSettings(**{**GIGE, **settings})
 
 
-def test_an_answer_that_comes_late_is_not_taken_for_one_to_the_next_question():
-    """A busy camera latches its time only when it is asked again, before that question has reached it."""
+@pytest.mark.parametrize("latched_at", [10, 22])
+def test_an_answer_that_comes_late_is_not_taken_for_one_to_the_next_question(latched_at):
+    """A busy camera latches its time while the first question waits in vain, or only when it is asked again; it says
+    so when the second question has been asked, but has not reached it."""
 
     class Busy:
-        told, reads = 0, 0
+        told, latched, reads = 0, 0, 0
 
         def get_integer(self, _: str) -> int:
             self.reads += 1
             before = self.told
+            if self.reads == latched_at:
+                self.latched = time.time_ns()
             if self.reads == 22:  # what was there before the second question
-                self.told = time.time_ns()
-                time.sleep(0.01)
+                self.told = self.latched
+            time.sleep(0.001)
             return before
 
         def execute_command(self, _: str) -> None:
             pass
 
-    camera = SimpleNamespace(_camera=Busy(), latches=[])
+    camera = SimpleNamespace(_camera=Busy(), latches=[], _asked_ns=0)
     for _ in range(2):
         Connection._latch(camera, "TimestampLatch", "TimestampLatchValue", NS)
     ((device_ns, before_ns, after_ns),) = camera.latches

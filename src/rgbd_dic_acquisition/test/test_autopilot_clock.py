@@ -211,6 +211,19 @@ def test_stamps_know_of_the_delivery_that_arrivals_cannot_see():
     assert clock.is_synchronised and clock.delivery_ns == pytest.approx(30e6, abs=1e6)
 
 
+def test_stamps_that_are_still_late_say_so():
+    """What TIMESYNC says of the delivery is taken off bit by bit; until then it is part of the uncertainty."""
+    clock, link = AutopilotClock(50_000_000), Link(seed=10)
+    late = []
+    for start_s in np.arange(0.0, 10.0, 0.1):
+        truth_s, stamp_s, uncertainty_s = _fly(clock, link, start_s, 0.1, delivery_s=0.03)
+        if clock.is_synchronised:
+            errors_s = (stamp_s - truth_s)[1:]  # the first may be from before it was
+            assert np.all(np.abs(errors_s) < 3 * uncertainty_s[1:])
+            late.append(np.max(errors_s))
+    assert late[0] > 0.02 and late[-1] < 2e-3
+
+
 def test_stamps_do_not_step_while_they_converge():
     clock, link = AutopilotClock(50_000_000), Link(seed=5, drift=0.0)
     _, stamp_s, _ = _fly(clock, link, 0.0, 30.0, delivery_s=0.03)

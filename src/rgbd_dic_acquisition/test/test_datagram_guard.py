@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import socket
+from pathlib import Path
 
 import pytest
-from rgbd_dic_acquisition.drivers.datagram_guard import accept_only_from
+from rgbd_dic_acquisition.drivers.datagram_guard import accept_only_from, let_wait
 from rgbd_dic_acquisition.errors import DeviceError
 
 
@@ -35,3 +36,13 @@ def test_a_port_of_nobody_is_an_error():
         port = free.getsockname()[1]
     with pytest.raises(DeviceError, match=f"no socket of this process is on port {port}"):
         accept_only_from("127.0.0.2", port)
+
+
+def test_more_waits_when_it_may():
+    """The kernel gives twice what it is asked for, for what it keeps beside the datagrams (man 7 socket)."""
+    most = int(Path("/proc/sys/net/core/rmem_max").read_text())
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ear:
+        ear.bind(("127.0.0.1", 0))
+        for asked in (most // 2, most // 4, 2 * most):
+            let_wait(ear.getsockname()[1], asked)
+            assert ear.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) == 2 * min(asked, most)

@@ -85,6 +85,7 @@ def test_killed_restarted_frozen_and_shouted_down(graph):
     listener.spin(until=listener.says("OK"))
     listener.spin(4)
     assert listener.value("stamps by") == "TIMESYNC"
+    assert float(listener.value("uncertainty of the stamps [ms]")) < 5
 
     peer.kill()
     killed = time.monotonic()

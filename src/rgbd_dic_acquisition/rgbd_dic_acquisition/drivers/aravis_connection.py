@@ -17,9 +17,10 @@ from ..clock import NS
 from ..errors import DeviceError, SettingsError
 from ..settings import Settings, setting
 from .aravis_library import aravis, device_id, refused
-from .datagram_guard import accept_only_from
+from .datagram_guard import accept_only_from, let_wait
 
 LATCH_EVERY_S = 1.0
+FIRST_LATCHES = 8  # before the first image; the narrowest counts, so one that was held up does no harm
 CLOSE_S = 1.0
 RECEIVING = ("arv_gv_stream", "arv_uv_stream")  # names of Aravis' threads
 RECEIVING_NICE = -10
@@ -81,6 +82,7 @@ class Connection:
         self.latches: deque[tuple[int, int, int]] = deque(maxlen=60)
         self.readings: dict[str, str] = {}
         self._closed = threading.Event()
+        self._asked_ns = 0  # when the camera was first asked for its time without an answer yet
         self._housekeeper: threading.Thread | None = None
         name = device_id(settings.transport, settings.serial, settings.address)
         with refused(f"camera {name}"):
@@ -91,6 +93,7 @@ class Connection:
             model = f"{self._camera.get_vendor_name()} {self._camera.get_model_name()}"
             self.told = {"camera": f"{model}, serial number {self._camera.get_device_serial_number()}"}
             self._configure(settings, camera)
+            self._compare_clocks()
             self.stream = self._start(settings)
         self._housekeeper = threading.Thread(target=self._keep_house, name="camera housekeeping", daemon=True)
         self._housekeeper.start()
@@ -156,6 +159,7 @@ class Connection:
             if settings.socket_buffer_bytes:
                 stream.set_property("socket-buffer", Arv.GvStreamSocketBuffer.FIXED)
                 stream.set_property("socket-buffer-size", settings.socket_buffer_bytes)
+                let_wait(stream.get_port(), settings.socket_buffer_bytes)  # Aravis does so with the first packet
         payload = self._camera.get_payload()
         for _ in range(settings.buffers):
             stream.push_buffer(Arv.Buffer.new_allocate(payload))
@@ -168,13 +172,10 @@ class Connection:
         camera = self._camera
         try:
             with refused("camera"):
-                latches = [names for names in LATCHES if camera.is_feature_available(names[0])][:1]
-                ticks = latches == [LATCHES[1]] and camera.is_feature_available(TICKS_A_SECOND)
-                second = camera.get_integer(TICKS_A_SECOND) if ticks else NS
                 warm = camera.is_feature_available(TEMPERATURE)
                 while not self._closed.is_set():
-                    for command, value in latches:
-                        self._latch(command, value, second)
+                    if self._clock:
+                        self._latch(*self._clock)
                     if warm:
                         self.readings["temperature [degrees C]"] = f"{camera.get_float(TEMPERATURE):.1f}"
                     camera.get_integer("Width")  # whether it is still there, if it has neither
@@ -184,14 +185,34 @@ class Connection:
         except SettingsError as error:
             self.readings["problem"] = str(error)
 
+    def _compare_clocks(self) -> None:
+        try:
+            with refused("the camera's clock"):
+                self._clock = self._find_clock()
+                for _ in range(FIRST_LATCHES if self._clock else 0):
+                    self._latch(*self._clock)
+        except SettingsError as error:  # images can do without
+            self.readings["problem"], self._clock = str(error), None
+
+    def _find_clock(self) -> tuple[str, str, int] | None:
+        """Command and value of the latch, if there is one, and how many units of it are a second."""
+        camera = self._camera
+        for command, value in LATCHES:
+            if camera.is_feature_available(command):
+                ticks = (command, value) == LATCHES[1] and camera.is_feature_available(TICKS_A_SECOND)
+                return command, value, camera.get_integer(TICKS_A_SECOND) if ticks else NS
+        return None
+
     def _latch(self, command: str, value: str, second: int) -> None:
-        """What has changed may be the late answer to a question before: in any case it is later than what was there."""
-        before_ns, old = time.time_ns(), self._camera.get_integer(value)
+        """What has changed may be the late answer to a question before, so time counts from the first that has none."""
+        before_ns = self._asked_ns = self._asked_ns or time.time_ns()
+        old = self._camera.get_integer(value)
         self._camera.execute_command(command)
         for _ in range(20):
             latched, after_ns = self._camera.get_integer(value), time.time_ns()
             if latched != old:
                 self.latches.append((latched * NS // second, before_ns, after_ns))
+                self._asked_ns = 0
                 return
 
 

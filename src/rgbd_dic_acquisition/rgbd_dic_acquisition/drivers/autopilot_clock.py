@@ -37,7 +37,8 @@ class AutopilotClock:
     def stamp(self, boot_ms: int, arrival_ns: int) -> HostStamp:
         """Host time of an event, from the autopilot's time since boot and the arrival of the message about it.
 
-        It increases with the autopilot's time, is never after the arrival, and does not step while it converges.
+        It increases with the autopilot's time, is never after the arrival, and does not step while it converges; what
+        it is still late by then is part of its uncertainty.
         """
         device_ns = boot_ms * 1_000_000
         if self._was_restarted(device_ns, arrival_ns):
@@ -53,7 +54,8 @@ class AutopilotClock:
         self.delivery_ns += min(max(wanted_ns - self.delivery_ns, -most_ns), most_ns)
         if not self.is_synchronised:
             return HostStamp(stamp.stamp_ns - self.delivery_ns, stamp.uncertainty_ns)
-        uncertainty_ns = math.hypot(self.timesync.uncertainty_ns, RESOLUTION_NS / math.sqrt(12))
+        not_taken_off_ns = wanted_ns - self.delivery_ns
+        uncertainty_ns = math.hypot(self.timesync.uncertainty_ns, RESOLUTION_NS / math.sqrt(12), not_taken_off_ns)
         return HostStamp(stamp.stamp_ns - self.delivery_ns, uncertainty_ns)
 
     def _begin(self) -> None:

@@ -1,4 +1,4 @@
-"""Lets a UDP socket that a library has opened take datagrams of one sender alone; the kernel drops all others."""
+"""A UDP socket that a library has opened: whose datagrams the kernel lets in, and how many of them wait for it."""
 
 from __future__ import annotations
 
@@ -30,6 +30,13 @@ def accept_only_from(address: str, port: int) -> None:
         raise DeviceError(f"strangers cannot be kept from the images' port {port}: {error}") from error
     if not guarded:
         raise DeviceError(f"no socket of this process is on port {port}, where the images should come in")
+
+
+def let_wait(port: int, size_bytes: int) -> None:
+    """Let so many bytes wait at this process' socket on a UDP port; the system gives no more than net.core.rmem_max."""
+    for sock in _on(port):
+        with sock:
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, size_bytes)
 
 
 def _pointer(program: list[tuple[int, int, int, int]], code: ctypes.Array) -> bytes:

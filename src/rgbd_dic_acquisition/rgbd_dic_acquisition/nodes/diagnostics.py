@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -13,6 +14,7 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 
 MATCHED = "matched subscriptions"
+STAMPS = "uncertainty of the stamps [ms]"
 PERIOD_S = 1.0
 SOONEST_S = 0.1  # after another, for a change; it goes out with the next `warn` or `ok` after that
 REPEAT_WARNING_S = 5.0
@@ -79,6 +81,7 @@ class Diagnostics:
         self._name = node.get_fully_qualified_name()
         self._counters: Counter[str] = Counter()
         self._told: dict[str, str] = {}
+        self._latest_ns, self._largest_ns = math.inf, -math.inf  # uncertainty of stamps; the largest since a status
         self._publishers: list[WatchedPublisher] = []
         self._level, self._problem, self._untold = DiagnosticStatus.OK, "", False
         self._logged_at = self._sent_at = float("-inf")
@@ -113,6 +116,14 @@ class Diagnostics:
         self._untold = self._untold or (at_once and self._told.get(name) != value)
         self._told[name] = value
 
+    def tell_stamp(self, uncertainty_ns: float) -> None:
+        """Put the standard uncertainty of stamps beside the counters: each status has the largest since the one before.
+
+        To be called with each stamp. That it is known now, and was not before, is sent with the level that is set next.
+        """
+        self._untold = self._untold or (math.isfinite(uncertainty_ns) and not math.isfinite(self._latest_ns))
+        self._largest_ns, self._latest_ns = max(uncertainty_ns, self._largest_ns), uncertainty_ns
+
     def warn(self, text: str) -> None:
         """Set the level to WARN, and log the text (at most every few seconds while it stays the same)."""
         if self._is_to_be_logged(text):
@@ -144,6 +155,9 @@ class Diagnostics:
 
     def _publish(self) -> None:
         self._sent_at, self._untold = time.monotonic(), False
+        if self._largest_ns >= 0:
+            self._told[STAMPS] = f"{self._largest_ns * 1e-6:.3f}"
+            self._largest_ns = -math.inf
         message = DiagnosticArray()
         message.header.stamp = self._node.get_clock().now().to_msg()
         message.status = [

@@ -44,7 +44,6 @@ class MavlinkNode(Node):
         self._diagnostics = Diagnostics(self)
         self._counted: Counter[str] = Counter()
         self._restarts = 0
-        self._uncertainty_ms = float("inf")
         qos = detail_qos(self._settings)
         self._imu = self._diagnostics.watch(self.create_publisher(Imu, "imu/data", qos))
         self._time = self._diagnostics.watch(self.create_publisher(TimeReference, "autopilot/time_reference", qos))
@@ -62,7 +61,7 @@ class MavlinkNode(Node):
 
     def _publish(self, reading: Attitude | SystemTime) -> None:
         if isinstance(reading, Attitude):
-            self._uncertainty_ms = reading.uncertainty_ns * 1e-6
+            self._diagnostics.tell_stamp(reading.uncertainty_ns)
             message = imu_message(
                 make,
                 reading.stamp_ns,
@@ -91,7 +90,6 @@ class MavlinkNode(Node):
             self.get_logger().warning("the autopilot was restarted; its clock is compared anew")
         self._diagnostics.tell("restarts of the autopilot", str(clock.restarts))
         self._diagnostics.tell("stamps by", "TIMESYNC" if clock.is_synchronised else "arrival", at_once=True)
-        self._diagnostics.tell("uncertainty of the stamps [ms]", f"{self._uncertainty_ms:.2f}")
         self._diagnostics.tell("shortest delivery taken off [ms]", f"{clock.delivery_ns * 1e-6:.2f}")
         self._diagnostics.tell("round trip of TIMESYNC [ms]", f"{clock.timesync.round_trip_ns * 1e-6:.2f}")
         if self._autopilot.problem:

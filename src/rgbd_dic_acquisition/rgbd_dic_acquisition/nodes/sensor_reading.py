@@ -27,6 +27,7 @@ def read_sensor(
         ran = revival.runs
         if frame is not None:
             publish(frame)
+            health.took_frame()
         health.report()
         yield 0.0
 
@@ -48,6 +49,10 @@ class SensorHealth:
         self._diagnostics, self._revival, self._source, self._loss_in = diagnostics, revival, source, loss
         self._counted: Counter[str] = Counter()
         self._loss, self._lost_at = "", float("-inf")
+
+    def took_frame(self) -> None:
+        """To be called after each frame."""
+        self._diagnostics.tell_stamp(self._source.uncertainty_ns)
 
     def report(self) -> None:
         """To be called after each read."""

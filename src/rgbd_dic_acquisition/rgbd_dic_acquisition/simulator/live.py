@@ -46,6 +46,8 @@ def _period_ns(rate_hz: float) -> int:
 class _SimulatedSource:
     """Frames on a regular grid of host time; a frame that nobody was there to read in time is lost."""
 
+    uncertainty_ns = 0.0  # of a stamp
+
     def __init__(self, settings: FlightSettings, rate_hz: float, phase_s: float) -> None:
         self.settings = settings
         self._period_ns = _period_ns(rate_hz)

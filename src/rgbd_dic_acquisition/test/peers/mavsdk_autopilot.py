@@ -21,6 +21,7 @@ from flight_truth import PITCH_RAD, ROLL_RAD, YAW_RATE_RAD_S, yaw_rad
 from mavsdk import ComponentType, Configuration, Mavsdk
 from mavsdk.plugins.mavlink_direct_server import MavlinkDirectServer, MavlinkMessage
 
+QUATERNION = ("q1", "q2", "q3", "q4")  # w, x, y, z
 SET_MESSAGE_INTERVAL, ATTITUDE_QUATERNION, ACCEPTED = 511, 31, 0
 
 
@@ -63,35 +64,37 @@ class Autopilot:
         boot_ms = self.boot_ns(host_ns) // 1_000_000
         if self.played is not None:
             q = played_at(self.played, self.options.played_ns, host_ns)
-            if self.log is not None:
-                self.log.write(",".join(map(str, (host_ns, *q))) + "\n")
-            numbers = dict(zip(("q1", "q2", "q3", "q4"), q, strict=True))
+            numbers = dict(zip(QUATERNION, q, strict=True))
             return "ATTITUDE_QUATERNION", {"time_boot_ms": boot_ms, **numbers, **dict.fromkeys(body_rates(), 0.0)}
         yaw = math.remainder(yaw_rad(host_ns), 2 * math.pi)
         rates = body_rates()
         if self.options.message == "ATTITUDE":
             angles = {"roll": ROLL_RAD, "pitch": PITCH_RAD, "yaw": yaw}
             return "ATTITUDE", {"time_boot_ms": boot_ms, **angles, **rates}
-        q = dict(zip(("q1", "q2", "q3", "q4"), quaternion(ROLL_RAD, PITCH_RAD, yaw), strict=True))
+        q = dict(zip(QUATERNION, quaternion(ROLL_RAD, PITCH_RAD, yaw), strict=True))
         return "ATTITUDE_QUATERNION", {"time_boot_ms": boot_ms, **q, **rates}
 
     def system_time(self, host_ns: int) -> tuple[str, dict[str, object]]:
         return "SYSTEM_TIME", {"time_unix_usec": host_ns // 1000, "time_boot_ms": self.boot_ns(host_ns) // 1_000_000}
 
     def fly(self, stop: threading.Event) -> None:
-        waiting: deque[tuple[int, str, dict[str, object]]] = deque()
+        waiting: deque[tuple[int, int, str, dict[str, object]]] = deque()
         next_ns = next_time_ns = time.time_ns()
         while not stop.is_set():
             now_ns = time.time_ns()
             send_ns = now_ns + round(self.options.delay_s * 1e9)
             if self.rate_hz and now_ns >= next_ns:
                 next_ns = max(next_ns + round(1e9 / self.rate_hz), now_ns)
-                waiting.append((send_ns, *self.attitude(now_ns)))
+                waiting.append((send_ns, now_ns, *self.attitude(now_ns)))
             if now_ns >= next_time_ns:
                 next_time_ns = max(next_time_ns + 10**9, now_ns)
-                waiting.append((send_ns, *self.system_time(now_ns)))
+                waiting.append((send_ns, now_ns, *self.system_time(now_ns)))
             while waiting and waiting[0][0] <= now_ns:
-                _, name, fields = waiting.popleft()
+                _, measured_ns, name, fields = waiting.popleft()
+                if self.log is not None and "q1" in fields:
+                    self.log.write(
+                        ",".join(str(each) for each in (measured_ns, *(fields[q] for q in QUATERNION))) + "\n"
+                    )
                 self.send(name, **fields)
             time.sleep(0.0005)
 
@@ -135,7 +138,7 @@ def main() -> None:
     parser.add_argument("--drift", type=float, default=50e-6)
     parser.add_argument("--played", type=Path, help="(N, 4) w, x, y, z as a .npy file, there and back; rates are 0")
     parser.add_argument("--played-ns", type=int, help="from the first of them to the last")
-    parser.add_argument("--log", type=Path, help="file for a line `host time,w,x,y,z` on each attitude that is played")
+    parser.add_argument("--log", type=Path, help="file for a line `host time,w,x,y,z` on each attitude that is sent")
     autopilot = Autopilot(parser.parse_args())
     stop = threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: stop.set())
