@@ -47,7 +47,7 @@ class Replayed:
     """What the method made of the recording.
 
     Attributes:
-        openings, valid: of the part that counts.
+        openings, valid, pairing: of the part that counts.
         range_m: of the truth. rms_m, bound_m: error of all that are valid, and what noise explains.
     """
 
@@ -76,10 +76,10 @@ def replay(
     compared = compare(openings, read_truth(truth))[0]
     valid = [opening for opening in openings if opening.valid]
     stated_m = math.sqrt(np.mean([opening.u_opening_m**2 for opening in valid]))
-    counts = [opening.valid for opening in openings if flown.begin_ns <= opening.stamp_ns < flown.end_ns]
     range_m = float(np.ptp(list(opening_m.values())))
-    pairing = _pairing(openings, camera, tof)
-    return Replayed(len(counts), sum(counts), range_m, compared.rms_m, EXPLAINED * stated_m, pairing)
+    count = [opening for opening in openings if flown.begin_ns <= opening.stamp_ns < flown.end_ns]
+    valid_of_them, pairing = sum(opening.valid for opening in count), _pairing(count, camera, tof)
+    return Replayed(len(count), valid_of_them, range_m, compared.rms_m, EXPLAINED * stated_m, pairing)
 
 
 def _pairing(openings: list[CrackOpening], camera: Account, tof: Account) -> Pairing:
