@@ -22,7 +22,7 @@ from session import BAG, Flown
 # Half of an opening's variance is the noise of the reference image, which is one draw for the whole flight; the other
 # half is drawn anew in each image. If that one draw is three standard deviations off, the RMS is sqrt(9/2 + 1/2).
 EXPLAINED = math.sqrt(5.0)
-PAIRING_NS = 2_000_000  # which the stamps of a pair may be apart from the moments of its frames
+PAIRING_S = 2e-3  # by which the offset of a pair may be off
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,8 @@ class Pairing:
         offsets_s: by the stamps, of images that have one.
         unpaired: images that have none.
         worst_error_s: largest difference of an offset to what the peers wrote down.
-        mispaired: images with another ToF frame nearer, by more than stamps may be off.
+        mispaired: images with another ToF frame nearer. An offset that is off by some time makes one frame seem so much
+            nearer and the other so much farther, so only more than twice that counts.
     """
 
     offsets_s: NDArray[np.float64]
@@ -94,6 +95,6 @@ def _pairing(openings: list[CrackOpening], camera: Account, tof: Account) -> Pai
         partner = np.argmin(np.abs(opening.stamp_ns - round(1e9 * opening.depth_offset_s) - tof_stamps))
         true_offset_ns = int(exposed_ns - tof_moments[partner])
         errors.append(abs(opening.depth_offset_s - 1e-9 * true_offset_ns))
-        mispaired += bool(np.min(np.abs(exposed_ns - tof_moments)) < abs(true_offset_ns) - PAIRING_NS)
+        mispaired += bool(np.min(np.abs(exposed_ns - tof_moments)) < abs(true_offset_ns) - 2e9 * PAIRING_S)
     offsets = np.array([opening.depth_offset_s for opening in paired])
     return Pairing(offsets, len(found) - len(paired), max(errors), mispaired)

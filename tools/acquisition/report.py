@@ -7,7 +7,7 @@ from accounting import Account
 from blocks import table
 from flight_peers import CAMERA, PERIODS_S
 from recorded import Recorded
-from replay import Replayed
+from replay import PAIRING_S, Replayed
 from session import Flown
 
 # A fault is told after so many periods and so long, and mended so soon after the peer came back.
@@ -68,6 +68,10 @@ def failures(accounts: dict[str, Account], measured: Replayed, timed: bool) -> l
             found.append(f"the {peer} was back after {each.back_s:.2f} s, not {BACK_S}")
     if not measured.rms_m <= measured.bound_m:
         found.append(f"the RMS error of the opening is {1e3 * measured.rms_m:.4f} mm, not {1e3 * measured.bound_m:.4f}")
+    if not measured.pairing.worst_error_s <= PAIRING_S:
+        found.append(
+            f"the offset of a pair is off by {1e3 * measured.pairing.worst_error_s:.2f} ms, not {1e3 * PAIRING_S}"
+        )
     if measured.pairing.mispaired:
         found.append(f"{measured.pairing.mispaired} images are paired with the wrong ToF frame")
     if measured.valid < measured.openings:

@@ -84,7 +84,8 @@ class Autopilot:
             now_ns = time.time_ns()
             send_ns = now_ns + round(self.options.delay_s * 1e9)
             if self.rate_hz and now_ns >= next_ns:
-                next_ns = max(next_ns + round(1e9 / self.rate_hz), now_ns)
+                period_ns = round(1e9 / self.rate_hz)  # two in one millisecond would have the same time since boot
+                next_ns = max(next_ns + period_ns, now_ns + period_ns // 2)
                 waiting.append((send_ns, now_ns, *self.attitude(now_ns)))
             if now_ns >= next_time_ns:
                 next_time_ns = max(next_time_ns + 10**9, now_ns)
