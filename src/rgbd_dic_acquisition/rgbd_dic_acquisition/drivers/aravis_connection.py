@@ -20,7 +20,9 @@ from .aravis_library import aravis, device_id, refused
 from .datagram_guard import accept_only_from, let_wait
 
 LATCH_EVERY_S = 1.0
-FIRST_LATCHES = 8  # before the first image; the narrowest counts, so one that was held up does no harm
+# Before the first image: so many latches, and more until one took no longer than this, but not for longer than that.
+# The narrowest counts, so those that are held up on a busy computer do no harm.
+FIRST_LATCHES, NARROW_NS, FIRST_LATCHES_S = 8, 1_000_000, 0.5
 CLOSE_S = 1.0
 RECEIVING = ("arv_gv_stream", "arv_uv_stream")  # names of Aravis' threads
 RECEIVING_NICE = -10
@@ -189,10 +191,15 @@ class Connection:
         try:
             with refused("the camera's clock"):
                 self._clock = self._find_clock()
-                for _ in range(FIRST_LATCHES if self._clock else 0):
+                end = time.monotonic() + FIRST_LATCHES_S
+                while self._clock and time.monotonic() < end and not self._is_compared():
                     self._latch(*self._clock)
         except SettingsError as error:  # images can do without
             self.readings["problem"], self._clock = str(error), None
+
+    def _is_compared(self) -> bool:
+        narrowest_ns = min((after_ns - before_ns for _, before_ns, after_ns in self.latches), default=NS)
+        return len(self.latches) >= FIRST_LATCHES and narrowest_ns <= NARROW_NS
 
     def _find_clock(self) -> tuple[str, str, int] | None:
         """Command and value of the latch, if there is one, and how many units of it are a second."""
