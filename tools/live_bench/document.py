@@ -258,8 +258,8 @@ A live node that is held up for a moment catches up with at most three waiting m
 more wait, all but the newest are left out, until the node has kept up for a second. So a graph that needs twice the
 time measures every second image, each as soon as it came, and the counter `skipped` on
 [`/diagnostics`](integration.md#diagnostics) says how many were left out, with a warning as long as it goes on. The
-recorder takes every image all the same, so the offline tool measures them all afterwards. In a replay nothing is left
-out. Ten minutes of it stand in the [decisions](decisions/too_slow.md).
+recorder takes every image all the same, so the offline tool measures them all afterwards; ten minutes on such a
+machine are among the [decisions](decisions/too_slow.md). In a replay nothing is left out.
 
 Nothing makes the latency grow: all that has come is handled before the next image's turn, whatever it is; nothing waits
 behind another message of the same topic but for those three; and with a known plane no image waits for a later one,
